@@ -115,7 +115,7 @@ class Arc:
 class Decision:
     """What the driver decided in one tick, with everything needed to explain it afterwards."""
 
-    command: Command
+    command: Command | None  # None = nothing published this cycle; the base keeps the last command until its timeout
     theta: PlannerParams
     context: str = DEFAULT_CONTEXT
     confidence: float | None = None  # of the context classifier; None when none drives
@@ -124,6 +124,8 @@ class Decision:
     rejected: dict[str, int] = field(default_factory=dict)  # candidates rejected, by reason; complete when explaining
     state: str = "controlling"  # planning, controlling, or the recovery's name
     global_path: Array | None = None  # (n, 2) odom [m]
+    local_costmap: ObstacleMap | None = None  # inflated; only when asked to explain
+    clear_beyond: float | None = None  # clearing recovery: forget obstacles outside a square of this side [m]
     goal_reached: bool = False  # move_base reports success
     aborted: bool = False  # move_base gave up
 
@@ -156,5 +158,7 @@ class Tick:
     decision: Decision
     true_pose: Pose2  # world, when the scan was taken
     body_poses: Array  # (5, 7) world position [m] and quaternion (w, x, y, z): chassis, then wheels fl, fr, rl, rr
+    clearance: float  # smallest true distance from the robot's outline to an obstacle [m]; inf = nothing near
     contact: Contact | None  # the first contact during the step that followed the decision
+    elapsed: float  # [s] on the trial's clock after the step
     outcome: Outcome | None  # set on the last tick only
