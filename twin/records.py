@@ -123,6 +123,7 @@ class Decision:
     candidates: Array | None = None  # (n, 3) v, w, cost (< 0 = illegal) of every arc tried; only when asked to explain
     rejected: dict[str, int] = field(default_factory=dict)  # candidates rejected, by reason; complete when explaining
     state: str = "controlling"  # planning, controlling, or the recovery's name
+    recoveries: int = 0  # recovery behaviours started so far
     global_path: Array | None = None  # (n, 2) odom [m]
     local_costmap: ObstacleMap | None = None  # inflated; only when asked to explain
     clear_beyond: float | None = None  # clearing recovery: forget obstacles outside a square of this side [m]

@@ -69,5 +69,15 @@ def rollout(simulation: Simulation, driver: Driver, memory: Any = None, index: i
         contact = simulation.apply(decision)
         referee = referee.started(simulation.time, simulation.true_pose)
         outcome = referee.outcome(simulation.time, simulation.true_pose, contact, decision)
-        yield Tick(index, observation, decision, true_pose, bodies, clearance, contact, referee.elapsed(simulation.time), outcome)
+        yield Tick(
+            index,
+            observation,
+            decision,
+            true_pose,
+            bodies,
+            clearance,
+            contact,
+            referee.elapsed(simulation.time),
+            outcome,
+        )
         index += 1

@@ -173,9 +173,7 @@ class MoveBase:
                 rejected=result.rejected,
                 goal_reached=reached,
             ), memory
-        decision = replace(
-            self._decision(memory, theta, STOP), candidates=result.candidates, rejected=result.rejected
-        )
+        decision = replace(self._decision(memory, theta, STOP), candidates=result.candidates, rejected=result.rejected)
         if x.time > memory.last_valid_control + CONTROLLER_PATIENCE:
             return decision, replace(memory, state=State.CLEARING, trigger=Trigger.CONTROLLING)
         return decision, replace(memory, state=State.PLANNING, last_valid_plan=x.time)
@@ -222,7 +220,14 @@ class MoveBase:
     ) -> Decision:
         path = None if memory.path is None else memory.path[:, :2]
         shown = _as_map(memory.plan.local) if self.explain and memory.plan.local is not None else None
-        return Decision(command, theta, state=state or memory.state.value, global_path=path, local_costmap=shown)
+        return Decision(
+            command,
+            theta,
+            state=state or memory.state.value,
+            recoveries=memory.recoveries,
+            global_path=path,
+            local_costmap=shown,
+        )
 
 
 def _as_map(costmap: Costmap) -> ObstacleMap:

@@ -96,7 +96,10 @@ class ParameterSpace:
         low, high = np.array(self.lower), np.array(self.upper)
         values = low + np.clip(unit, 0.0, 1.0) * (high - low)
         return PlannerParams.from_mapping(
-            {n: math.floor(v + 1e-9) if n in INTEGERS else float(v) for n, v in zip(PARAMETER_NAMES, values, strict=True)}
+            {
+                n: math.floor(v + 1e-9) if n in INTEGERS else float(v)
+                for n, v in zip(PARAMETER_NAMES, values, strict=True)
+            }
         )
 
     def encode(self, theta: PlannerParams) -> Array:

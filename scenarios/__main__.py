@@ -1,0 +1,5 @@
+"""`python -m scenarios` is `appli`."""
+
+from scenarios.cli import main
+
+main()

@@ -1,0 +1,142 @@
+"""The `appli` command. Heavy imports happen inside the commands, so that `appli --help` answers at once."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import io
+import re
+import sys
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from tyro.conf import OmitArgPrefixes, Positional
+
+from scenarios.errors import UserError
+from scenarios.switches import Switches
+
+Protocol = Literal["appli", "2020", "icra22"]
+
+
+def run(
+    world: Positional[str],
+    /,
+    driver: str = "dwa",
+    protocol: Protocol = "appli",
+    seed: int = 0,
+    params: Path | None = None,
+    start: str | None = None,
+    goal: str | None = None,
+    record: Path | None = None,
+    json: bool = False,
+    switches: Annotated[Switches, OmitArgPrefixes] = Switches(),  # noqa: B008 (tyro reads the default; it is frozen)
+) -> int:
+    """Drive one world headless. Exit code 0 = arrived, 1 = did not, 2 = bad input.
+
+    Args:
+        world: Built-in name (see `appli worlds`), barn-like/K, or a file: *.world, *.npz#K, *.npy, *.toml, map.yaml,
+            *.obj|stl|ply|glb.
+        driver: Who drives: dwa (move_base with one parameter set).
+        protocol: Start, goal, tolerance and time limit of BARN worlds.
+        seed: Root of all noise; equal seeds give equal runs.
+        params: YAML file with some of the eight planner parameters, e.g. "max_vel_x: 0.8".
+        start: "x,y,yaw" in metres and radians, for worlds that bring none.
+        goal: "x,y" in metres, for worlds that bring none.
+        record: Write a Rerun recording (.rrd) here.
+        json: Print one JSON object on stdout and nothing else.
+        switches: Planner switches.
+    """
+    from scenarios.run import run_command
+
+    return run_command(world, driver, protocol, seed, params, start, goal, record, json, switches)
+
+
+def worlds(json: bool = False) -> int:
+    """List the built-in worlds.
+
+    Args:
+        json: Print one JSON array on stdout and nothing else.
+    """
+    from scenarios.run import worlds_command
+
+    return worlds_command(json)
+
+
+def demo(out: Path = Path("out/demo"), seed: int = 0) -> int:
+    """Drive the training course and a BARN-like world, record both, and say what to open next.
+
+    Args:
+        out: Folder for the recordings.
+        seed: Root of all noise.
+    """
+    from scenarios.demo import demo_command
+
+    return demo_command(out, seed)
+
+
+DESCRIPTION = "A digital twin of the Clearpath Jackal under ROS's move_base, and APPLI on top of it."
+COMMANDS: dict[str, Callable[..., int]] = {"run": run, "worlds": worlds, "demo": demo}
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Entry point: parse, run, exit."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    try:
+        sys.exit(_dispatch(arguments))
+    except UserError as error:
+        print(f"appli: {error}", file=sys.stderr)
+        sys.exit(2)
+    except BrokenPipeError:  # the reader of our stdout went away (appli ... | head)
+        sys.stderr.close()
+        sys.exit(1)
+    except KeyboardInterrupt:
+        print("appli: interrupted", file=sys.stderr)
+        sys.exit(130)
+
+
+def _dispatch(arguments: list[str]) -> int:
+    """Parse, then run outside the parser; a parse error becomes a UserError of one line."""
+    if arguments == ["--version"]:
+        print(f"appli-twin {version('appli-twin')}")
+        return 0
+    commands = {name: _deferred(command) for name, command in COMMANDS.items()}
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said):
+            call: Callable[[], int] = tyro.extras.subcommand_cli_from_dict(
+                commands, prog="appli", description=DESCRIPTION, args=arguments or ["--help"]
+            )
+    except SystemExit as stop:
+        if stop.code in (0, None):
+            return 0
+        raise UserError(_one_line(said.getvalue())) from None
+    return call()
+
+
+def _deferred(command: Callable[..., int]) -> Callable[..., Callable[[], int]]:
+    """The same signature, but calling it only prepares the call."""
+
+    @functools.wraps(command)
+    def prepare(*args: object, **kwargs: object) -> Callable[[], int]:
+        return functools.partial(command, *args, **kwargs)
+
+    return prepare
+
+
+def _one_line(framed: str) -> str:
+    """tyro's framed error without its frame: the complaint, its suggestion, and where to read on."""
+    lines = [re.sub(r"^[│╭╰][─ ]?|[│╮╯]$", "", line).strip() for line in framed.splitlines()]
+    parts = [" ".join(part.split()) for part in re.split(r"(?m)^.*─{3,}.*$", "\n".join(lines))]
+    parts = [part for part in parts if part]
+    if not parts:
+        return "cannot read the command line; try: appli --help"
+    complaint = re.sub(r"^Missing from (appli\S*(?: \S+)?): (?:STR )?", r"\1 needs: ", parts[0])
+    options = re.findall(r"--[a-z][a-z-]+", " ".join(p for p in parts[1:] if p.startswith("Perhaps")))
+    maybe = f"; did you mean {options[0]}?" if options else ""
+    names = next((p for p in parts[1:] if p.startswith("Available")), "")
+    more = re.search(r"appli(?: \w+)? --help", parts[-1])
+    see = f"; see: {more.group()}" if more else ""
+    return f"{complaint}{maybe}{'; ' + names if names else ''}{see}"

@@ -1,0 +1,151 @@
+"""`appli run` and `appli worlds`."""
+
+from __future__ import annotations
+
+import json as json_module
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from threading import Timer
+from typing import Any
+
+import yaml
+
+from scenarios.errors import UserError, blame
+from scenarios.switches import Switches
+from scenarios.trials import TrialResult, TrialSpec, result_as_dict, run_trial
+from scenarios.worlds import list_worlds, load_world
+from twin.planner.params import PlannerParams
+from twin.records import Outcome, Tick
+from twin.world import World
+
+PARAMS_LIMIT = 64 * 1024  # bytes; a parameter file has eight lines
+
+
+def run_command(
+    world_name: str,
+    driver: str,
+    protocol: str,
+    seed: int,
+    params: Path | None,
+    start: str | None,
+    goal: str | None,
+    record: Path | None,
+    json: bool,
+    switches: Switches,
+) -> int:
+    """Run one trial and report it; see `appli run --help`."""
+    if seed < 0:
+        raise UserError(f"--seed must be 0 or more, not {seed}")
+    with blame():
+        theta = PlannerParams() if params is None else read_params(params)
+        world = load_world(world_name, protocol, start=start, goal=goal)
+    spec = TrialSpec(world_name, protocol, driver, seed, 0, theta, switches)
+    compile_kernels()
+    began = time.perf_counter()
+    result = _run_watched(spec, world, record, quiet=json or not sys.stderr.isatty())
+    wall = time.perf_counter() - began
+    report = {
+        "world": world.name,
+        "protocol": world.rules.protocol,
+        "driver": driver,
+        "seed": seed,
+        **result_as_dict(result),
+        "wall_time": round(wall, 3),
+        "real_time_factor": round(result.ticks * 0.05 / wall, 2),
+        "recording": None if record is None else str(record),
+    }
+    print(json_module.dumps(report) if json else summary(world, result, report["real_time_factor"], record))
+    return 0 if result.outcome is Outcome.REACHED else 1
+
+
+def summary(world: World, result: TrialResult, real_time_factor: float, record: Path | None) -> str:
+    """Three lines a person wants after a run."""
+    lines = [
+        f"{world.name}: {result.outcome.value} after {result.time:.2f} s, {result.distance:.1f} m driven, "
+        f"{result.recoveries} recoveries, closest {result.min_clearance:.2f} m ({real_time_factor:.0f} x real time)"
+    ]
+    if result.contact is not None:
+        hit = result.contact
+        lines.append(f"  touched {hit.obstacle} at ({hit.x:.2f}, {hit.y:.2f}) after {hit.time:.2f} s")
+    if record is not None:
+        lines.append(f"  recording: {record}   open it with: rerun {record}")
+    return "\n".join(lines)
+
+
+def _run_watched(spec: TrialSpec, world: World, record: Path | None, quiet: bool) -> TrialResult:
+    """Run with a recorder and a progress line attached as asked; Ctrl-C closes the recording first."""
+    watchers: list[Callable[[Tick], Any]] = [] if quiet else [_progress]
+    with ExitStack() as stack:
+        if record is not None:
+            from twin.recording import Recorder
+
+            with blame(f"cannot write the recording {record}"):
+                metadata = {"world": world.name, "driver": spec.driver, "seed": spec.seed, "protocol": spec.protocol}
+                recorder = stack.enter_context(Recorder(record, world, metadata))
+            watchers.append(recorder.add)
+        if not quiet:
+            stack.callback(lambda: print(file=sys.stderr))
+        with blame():
+            return run_trial(spec, world, lambda tick: [watch(tick) for watch in watchers], explain=record is not None)
+
+
+def _progress(tick: Tick) -> None:
+    """A line that rewrites itself twice a simulated second."""
+    if tick.index % 10 == 0 or tick.outcome is not None:
+        pose, twist = tick.true_pose, tick.observation.twist
+        text = f"  {tick.elapsed:6.1f} s  ({pose.x:6.2f}, {pose.y:6.2f})  {twist.v:5.2f} m/s  {tick.decision.state}"
+        print(f"\r{text:<70}", end="", file=sys.stderr, flush=True)
+
+
+def read_params(path: Path) -> PlannerParams:
+    """Planner parameters from a YAML mapping. Raises ValueError or OSError."""
+    if path.stat().st_size > PARAMS_LIMIT:
+        raise ValueError(f"{path}: too large for a parameter file")
+    try:
+        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except yaml.YAMLError as error:
+        raise ValueError(f"{path}: not YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(values, dict):
+        raise ValueError(f"{path}: expected lines such as 'max_vel_x: 0.8'")
+    try:
+        return PlannerParams.from_mapping({str(k): v for k, v in values.items()})
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def compile_kernels() -> None:
+    """Make sure the numba kernels are compiled; says so if that takes more than a moment (once per machine)."""
+    from scenarios.warm_up import warm_up
+
+    with _notice(2.0, "appli: compiling the planner for this machine (once, about a minute) ..."):
+        warm_up()
+
+
+@contextmanager
+def _notice(delay: float, text: str) -> Iterator[None]:
+    timer = Timer(delay, lambda: print(text, file=sys.stderr, flush=True))
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+def worlds_command(json: bool) -> int:
+    """Print the built-in worlds."""
+    entries = list_worlds()
+    if json:
+        print(json_module.dumps([entry.as_dict() for entry in entries]))
+        return 0
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("world", "kind", "size", "start to goal", "what it is")
+    for entry in entries:
+        table.add_row(entry.name, entry.kind, entry.size, f"{entry.distance:.1f} m", entry.note)
+    Console().print(table)
+    return 0

@@ -1,0 +1,103 @@
+"""The import rules of the house, read from the source tree."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("twin", "learning", "scenarios")
+
+# Who may import what of ours (prefixes). Everything may import itself and what stands below it.
+ALLOWED: dict[str, tuple[str, ...]] = {
+    "twin.records": (),
+    "twin.geometry": ("twin.records",),
+    "twin.world": ("twin.records", "twin.geometry"),
+    "twin.free_space": ("twin.records", "twin.geometry", "twin.world"),
+    "twin.clearance": ("twin.records", "twin.geometry", "twin.world"),
+    "twin.robot": ("twin.robot", "twin.records", "twin.geometry"),
+    "twin.planner": ("twin.planner", "twin.records", "twin.geometry"),
+    "twin.arena": ("twin.world", "twin.robot", "twin.records", "twin.geometry"),
+    "twin.simulation": (
+        "twin.arena",
+        "twin.world",
+        "twin.robot",
+        "twin.clearance",
+        "twin.records",
+        "twin.geometry",
+        "twin.planner.obstacle_layer",  # an observation holds what the obstacle layers remember
+    ),
+    "twin.rollout": ("twin.simulation", "twin.world", "twin.records", "twin.geometry"),
+    "twin.recording": (
+        "twin.recording",
+        "twin.simulation",
+        "twin.world",
+        "twin.robot",
+        "twin.records",
+        "twin.geometry",
+    ),
+    "twin": ("twin",),
+    "learning": ("learning", "twin.planner", "twin.records", "twin.geometry"),
+    "scenarios": ("scenarios", "learning", "twin"),
+}
+
+# One doorway per heavy library: top-level package -> modules that may import it.
+DOORWAYS: dict[str, tuple[str, ...]] = {
+    "rerun": ("twin.recording",),
+    "torch": ("learning.evidential",),
+    "cma": ("learning.fit",),
+    "trimesh": ("twin.assets", "scenarios.imported"),
+    "distributed": ("scenarios.sweep",),
+    "dask": ("scenarios.sweep",),
+    "matplotlib": ("scenarios.report", "scenarios.pictures"),
+    "mujoco": ("twin.simulation", "twin.arena", "twin.robot"),
+    "dm_control": ("twin.arena", "twin.robot"),
+}
+
+
+def modules() -> list[tuple[str, Path]]:
+    """(dotted name, file) of every module of the packages."""
+    found = []
+    for package in PACKAGES:
+        for path in sorted((ROOT / package).rglob("*.py")):
+            parts = path.relative_to(ROOT).with_suffix("").parts
+            found.append((".".join(parts[:-1] if parts[-1] == "__init__" else parts), path))
+    return found
+
+
+def imports(path: Path) -> set[str]:
+    """Dotted names imported anywhere in a file, `from a import b` as both a and a.b."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            names |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return names
+
+
+def within(name: str, prefix: str) -> bool:
+    """Whether a dotted name is the prefix or below it."""
+    return name == prefix or name.startswith(prefix + ".")
+
+
+def rule_for(module: str) -> tuple[str, ...]:
+    """The rule of the longest prefix."""
+    return ALLOWED[max((p for p in ALLOWED if within(module, p)), key=len)]
+
+
+@pytest.mark.parametrize(("module", "path"), modules(), ids=lambda value: value if isinstance(value, str) else "")
+def test_imports_run_downwards(module: str, path: Path) -> None:
+    for name in imports(path):
+        if name.split(".")[0] in PACKAGES:
+            assert any(within(name, allowed) for allowed in rule_for(module)), f"{module} may not import {name}"
+
+
+@pytest.mark.parametrize(("module", "path"), modules(), ids=lambda value: value if isinstance(value, str) else "")
+def test_heavy_libraries_have_one_doorway(module: str, path: Path) -> None:
+    for name in imports(path):
+        doors = DOORWAYS.get(name.split(".")[0])
+        assert doors is None or any(within(module, door) for door in doors), f"{module} may not import {name}"
