@@ -21,10 +21,8 @@ from twin.planner.plan import PlannerSettings
 from twin.planner.trajectory import LocalPlannerSettings
 from twin.records import Contact, Outcome, Pose2, Tick
 from twin.rollout import Driver, rollout
-from twin.simulation import Simulation
+from twin.simulation import RobotConfig, Simulation
 from twin.world import World
-
-TICK = 0.05  # [s]
 
 
 def move_base_settings(switches: Switches) -> MoveBaseSettings:
@@ -117,7 +115,13 @@ def tick_bytes(tick: Tick) -> bytes:
         *decision.theta.as_array(),
     )
     words = f"{decision.state}|{decision.context}|{decision.confidence}|{tick.outcome}|{tick.contact}"
-    return x.scan.ranges.tobytes() + tick.body_poses.tobytes() + np.array(numbers).tobytes() + words.encode()
+    return (
+        x.scan.ranges.tobytes()
+        + tick.body_poses.tobytes()
+        + np.array(numbers).tobytes()
+        + decision.theta.as_array().tobytes()
+        + words.encode()
+    )
 
 
 def _flat(pose: Pose2) -> tuple[float, float, float]:
@@ -134,7 +138,7 @@ def make_driver(spec: TrialSpec, explain: bool = False) -> Driver:
 def make_simulation(spec: TrialSpec, world: World) -> Simulation:
     """A fresh simulation; its noise depends on seed, world and run, never on the driver."""
     rng = np.random.default_rng([spec.seed, world.index, spec.run])
-    return Simulation(world, rng, spec.switches.lidar_mount)
+    return Simulation(world, rng, RobotConfig(lidar_mount=spec.switches.lidar_mount))
 
 
 def run_trial(

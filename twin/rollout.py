@@ -66,7 +66,7 @@ def rollout(simulation: Simulation, driver: Driver, memory: Any = None, index: i
         true_pose, bodies, clearance = simulation.true_pose, simulation.body_poses, simulation.clearance
         observation = simulation.observe()
         decision, memory = driver.decide(observation, memory)
-        contact = simulation.apply(decision)
+        contact = simulation.apply(decision.command, decision.clear_beyond)
         referee = referee.started(simulation.time, simulation.true_pose)
         outcome = referee.outcome(simulation.time, simulation.true_pose, contact, decision)
         yield Tick(
