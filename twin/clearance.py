@@ -10,7 +10,7 @@ from numba import njit
 from twin.records import Array, Pose2
 from twin.world import Box, Cylinder, Mesh, World
 
-HALF_LENGTH = 0.210  # [m] chassis 0.420 m long (jackal.urdf.xacro)
+HALF_LENGTH = 0.131 + 0.098  # [m] wheel centre plus wheel radius: the wheels lead the chassis (jackal.urdf.xacro)
 HALF_WIDTH = 0.187795 + 0.020  # [m] wheel centre plus half a wheel (jackal.urdf.xacro)
 ROBOT_TOP = 0.35  # [m] obstacles that begin above the robot cannot be hit
 MESH_SPACING = 0.02  # [m] a mesh is judged by points of its surface at this spacing
