@@ -225,7 +225,7 @@ def _apply_scan(
                 continue
             # Clip the end to the map. The slope stays that of the whole ray; the margin of 1 mm keeps the far
             # sides inside without taking part in the slope.
-            end_x, end_y = np.float64(points[k, 0]), np.float64(points[k, 1])
+            end_x, end_y = float(points[k, 0]), float(points[k, 1])
             dx, dy = end_x - sensor_x, end_y - sensor_y
             if end_x < origin_x:
                 end_x, end_y = origin_x, sensor_y + dy * ((origin_x - sensor_x) / dx)
