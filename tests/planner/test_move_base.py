@@ -101,10 +101,15 @@ def test_no_way_out_is_blocked() -> None:
 
 
 def test_planning_failures_run_through_the_recoveries_and_give_up() -> None:
-    decisions, memory = run(MoveBase(), [observe(0.05 * k, world=RING) for k in range(1000)])
+    step, memory, yaw, decisions = MoveBase(), Memory(), 0.0, []
+    for k in range(1000):
+        decision, memory = step.step(observe(0.05 * k, Pose2(0.0, 0.0, yaw), world=RING), THETA, memory)
+        yaw = math.remainder(yaw + 0.05 * (decision.command.w if decision.command else 0.0), math.tau)
+        decisions.append(decision)
     states = [d.state for d in decisions]
+    names = {r.name for r in RECOVERIES} | {"aborted"}
     order = [s for k, s in enumerate(states) if k == 0 or states[k - 1] != s]
-    assert [s for s in order if s in {r.name for r in RECOVERIES} | {"aborted"}] == [*(r.name for r in RECOVERIES), "aborted"]
+    assert [s for s in order if s in names] == [*(r.name for r in RECOVERIES), "aborted"]
     first = states.index("conservative_reset")
     assert 0.05 * first == pytest.approx(5.0 + 0.1, abs=0.051), "planner_patience, and a cycle to enter CLEARING"
     assert decisions[states.index("aborted")].aborted
