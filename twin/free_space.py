@@ -1,0 +1,161 @@
+"""Where the robot can truly be: exact distances to the obstacles, on a grid or at chosen points."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from twin.records import Array, Pose2, frozen_array
+from twin.world import Box, Cylinder, Mesh, Obstacle, World
+
+FLOOR_SKIN = 0.02  # [m] a scanned floor is uneven; wheels of radius 0.098 m roll over less than this
+ROBOT_TOP = 0.35  # [m] top of the robot with its lidar (spec: UST-10 at 0.305 m above the floor); what starts higher
+HORIZON = 2.0  # [m] distances on the grid are capped here: no motion of this robot depends on more
+MARGIN = 1.0  # [m] border of the grid around obstacles, start and goal
+MAX_CELLS = 40_000_000
+_SAMPLES_AT_ONCE = 2_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class FreeSpace:
+    """Distance to the nearest obstacle the robot can hit, from the centre of every cell; world frame."""
+
+    distance: Array  # (ny, nx) [m], index [y, x], y up; negative inside cylinders and boxes; at most HORIZON
+    origin: tuple[float, float]  # lower-left corner of cell (0, 0) [m]
+    resolution: float  # [m] per cell
+
+    def cells(self, points: Array) -> NDArray[np.int64]:
+        """(n, 2) the cell [y, x] that holds each of the points (n, 2) [m]; may lie outside the grid."""
+        xy = np.floor((np.asarray(points, dtype=np.float64) - self.origin) / self.resolution)
+        return xy.astype(np.int64)[:, ::-1]
+
+    def at(self, points: Array) -> Array:
+        """(n,) [m] the distance in the cells of the points (n, 2) [m]; HORIZON outside the grid."""
+        cells = self.cells(points)
+        inside = ((cells >= 0) & (cells < self.distance.shape)).all(axis=1)
+        values = np.full(len(cells), HORIZON)
+        values[inside] = self.distance[cells[inside, 0], cells[inside, 1]]
+        return values
+
+    def reachable(self, start: Pose2, clearance: float) -> NDArray[np.bool_]:
+        """(ny, nx) cells that a disc of radius `clearance` [m] can reach from `start`."""
+        labels, _ = ndimage.label(self.distance >= clearance, np.ones((3, 3)))
+        (row, column) = self.cells(np.array([[start.x, start.y]]))[0]
+        here = labels[row, column]
+        return np.asarray((labels == here) & (here > 0))
+
+
+def free_space(world: World, resolution: float = 0.05) -> FreeSpace:
+    """The distance map of a world. Raises ValueError when it would need more than MAX_CELLS cells."""
+    low, high = _bounds(world)
+    shape = tuple(math.ceil(v) for v in ((high - low) / resolution)[::-1])
+    if shape[0] * shape[1] > MAX_CELLS:
+        raise ValueError(f"the world is too large for a map with {resolution} m cells")
+    x = low[0] + (np.arange(shape[1]) + 0.5) * resolution
+    y = low[1] + (np.arange(shape[0]) + 0.5) * resolution
+    distance = np.full(shape, HORIZON)
+    for obstacle in world.obstacles:
+        if isinstance(obstacle, Mesh):
+            points = mesh_points(obstacle, resolution / 2)
+            if len(points):
+                centres = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+                near, _ = cKDTree(points).query(centres, distance_upper_bound=HORIZON)
+                np.minimum(distance, near.reshape(shape), out=distance)
+        elif not _above_robot(obstacle):
+            reach = _outer_radius(obstacle) + HORIZON
+            rows = slice(*np.searchsorted(y, (obstacle.y - reach, obstacle.y + reach)))
+            columns = slice(*np.searchsorted(x, (obstacle.x - reach, obstacle.x + reach)))
+            window = distance[rows, columns]
+            np.minimum(window, _signed_distance(obstacle, x[None, columns], y[rows, None]), out=window)
+    return FreeSpace(frozen_array(distance), (float(low[0]), float(low[1])), resolution)
+
+
+def obstacle_distance(obstacles: Sequence[Obstacle], points: Array) -> Array:
+    """(n,) [m] exact distance from points (n, 2) to the nearest obstacle the robot can hit; inf without any.
+
+    Negative inside cylinders and boxes; meshes are surfaces, met within 0.01 m.
+    """
+    best = np.full(len(points), np.inf)
+    for obstacle in obstacles:
+        if isinstance(obstacle, Mesh):
+            surface = mesh_points(obstacle, 0.02)
+            if len(surface):
+                np.minimum(best, cKDTree(surface).query(points)[0], out=best)
+        elif not _above_robot(obstacle):
+            np.minimum(best, _signed_distance(obstacle, points[:, 0], points[:, 1]), out=best)
+    return best
+
+
+def mesh_points(mesh: Mesh, spacing: float) -> Array:
+    """(n, 2) [m] points of the mesh's surface between FLOOR_SKIN and ROBOT_TOP, at most `spacing` apart."""
+    corners = mesh.vertices[mesh.faces]  # (m, 3 corners, 3)
+    z = corners[:, :, 2]
+    corners = corners[(z.max(axis=1) > FLOOR_SKIN) & (z.min(axis=1) < ROBOT_TOP)]
+    points = [block for triangles in _by_size(corners, spacing) for block in _samples(*triangles, spacing)]
+    return np.unique(np.concatenate(points), axis=0) if points else np.empty((0, 2))
+
+
+def _by_size(corners: Array, spacing: float) -> Iterator[tuple[Array, int]]:
+    """Groups of triangles that need the same number of steps along an edge."""
+    if not len(corners):
+        return
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    steps = 2 ** np.ceil(np.log2(np.maximum(longest / spacing, 1.0))).astype(np.int64)
+    for n in np.unique(steps):
+        yield corners[steps == n], int(n)
+
+
+def _samples(corners: Array, steps: int, spacing: float) -> Iterator[Array]:
+    """(n, 2) points of a lattice on each triangle, rounded to half the spacing so that they can be thinned out."""
+    if steps > 4096:
+        raise ValueError("a triangle of the mesh is larger than 40 m; are its units metres?")
+    u, v = np.meshgrid(np.arange(steps + 1) / steps, np.arange(steps + 1) / steps)
+    inside = u + v <= 1 + 1e-9
+    weights = np.stack([1 - u[inside] - v[inside], u[inside], v[inside]])  # (3, k)
+    at_once = max(1, _SAMPLES_AT_ONCE // weights.shape[1])
+    for begin in range(0, len(corners), at_once):
+        points = np.einsum("ck,tcd->tkd", weights, corners[begin : begin + at_once]).reshape(-1, 3)
+        points = points[(points[:, 2] > FLOOR_SKIN) & (points[:, 2] < ROBOT_TOP), :2]
+        yield np.unique(np.round(points * (2 / spacing)), axis=0) * (spacing / 2)
+
+
+def _above_robot(obstacle: Cylinder | Box) -> bool:
+    return isinstance(obstacle, Box) and obstacle.bottom >= ROBOT_TOP
+
+
+def _outer_radius(obstacle: Cylinder | Box) -> float:
+    if isinstance(obstacle, Cylinder):
+        return obstacle.radius
+    return math.hypot(obstacle.length, obstacle.width) / 2
+
+
+def _signed_distance(obstacle: Cylinder | Box, x: Array, y: Array) -> Array:
+    """[m] from the points (x, y) to the outline, negative inside."""
+    dx, dy = x - obstacle.x, y - obstacle.y
+    if isinstance(obstacle, Cylinder):
+        return np.hypot(dx, dy) - obstacle.radius
+    c, s = math.cos(obstacle.yaw), math.sin(obstacle.yaw)
+    over_x = np.abs(c * dx + s * dy) - obstacle.length / 2
+    over_y = np.abs(-s * dx + c * dy) - obstacle.width / 2
+    outside = np.hypot(np.maximum(over_x, 0.0), np.maximum(over_y, 0.0))
+    return np.asarray(outside + np.minimum(np.maximum(over_x, over_y), 0.0))
+
+
+def _bounds(world: World) -> tuple[Array, Array]:
+    """Lower and upper corner [m] of all that matters, with MARGIN around it."""
+    points = [np.array([[world.start.x, world.start.y], [world.goal.x, world.goal.y]])]
+    for obstacle in world.obstacles:
+        if isinstance(obstacle, Mesh):
+            points.append(obstacle.vertices[:, :2])
+        else:
+            reach = _outer_radius(obstacle)
+            centre = np.array([obstacle.x, obstacle.y])
+            points.append(np.stack([centre - reach, centre + reach]))
+    everything = np.concatenate(points)
+    return everything.min(axis=0) - MARGIN, everything.max(axis=0) + MARGIN
