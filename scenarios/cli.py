@@ -77,8 +77,20 @@ def demo(out: Path = Path("out/demo"), seed: int = 0) -> int:
     return demo_command(out, seed)
 
 
+def bench(json: bool = False, repeats: int = 2) -> int:
+    """Measure the speed of the twin and of the planner on this machine, as ratios to the floor.
+
+    Args:
+        json: Print one JSON object on stdout and nothing else.
+        repeats: How often every drive is timed.
+    """
+    from scenarios.bench import bench_command
+
+    return bench_command(json, repeats)
+
+
 DESCRIPTION = "A digital twin of the Clearpath Jackal under ROS's move_base, and APPLI on top of it."
-COMMANDS: dict[str, Callable[..., int]] = {"run": run, "worlds": worlds, "demo": demo}
+COMMANDS: dict[str, Callable[..., int]] = {"run": run, "worlds": worlds, "bench": bench, "demo": demo}
 
 
 def main(arguments: list[str] | None = None) -> None:

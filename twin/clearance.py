@@ -52,7 +52,7 @@ def _surface_points(mesh: Mesh) -> Array:
     return np.unique(np.round(np.concatenate(points), 3), axis=0) if points else np.empty((0, 2))
 
 
-@njit(cache=True)  # type: ignore[misc]
+@njit(cache=True)  # type: ignore[untyped-decorator]
 def _clearance(discs: Array, boxes: Array, x: float, y: float, c: float, s: float) -> float:
     best = np.inf
     for i in range(discs.shape[0]):
@@ -70,7 +70,7 @@ def _clearance(discs: Array, boxes: Array, x: float, y: float, c: float, s: floa
     return max(best, 0.0)
 
 
-@njit(cache=True)  # type: ignore[misc]
+@njit(cache=True)  # type: ignore[untyped-decorator]
 def _rectangles(
     px: float, py: float, c: float, s: float, l1: float, w1: float, l0: float, w0: float, qx: float, qy: float
 ) -> float:

@@ -39,7 +39,8 @@ def transform_points(a_from_b: Pose2, points: Array) -> Array:
     """Points (n, 2) [m] given in b, expressed in a."""
     c, s = math.cos(a_from_b.yaw), math.sin(a_from_b.yaw)
     rotation = np.array([[c, s], [-s, c]])
-    return points @ rotation + np.array([a_from_b.x, a_from_b.y])
+    moved: Array = points @ rotation + np.array([a_from_b.x, a_from_b.y])
+    return moved
 
 
 def distance(a: Pose2, b: Pose2) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +19,7 @@ from twin.planner.obstacle_layer import (
     scan_points,
     update_obstacles,
 )
-from twin.records import Array, Command, Contact, Observation, ObstacleMap, Pose2, frozen_array
+from twin.records import Array, Command, Contact, Observation, ObstacleMap, Pose2, Scan, frozen_array
 from twin.robot import drive, odometry
 from twin.robot.drive import DriveConfig, DriveState
 from twin.robot.handles import RobotHandles
@@ -51,7 +52,7 @@ class Snapshot:
     odometry: OdometryState
     local_map: ObstacleMap
     global_map: ObstacleMap
-    noise: dict[str, Any]  # state of the random generator
+    noise: Mapping[str, Any]  # state of the random generator
 
 
 class Simulation:
@@ -101,12 +102,16 @@ class Simulation:
         start, goal = self.world.start, self.world.goal
         return Pose2(goal.x - start.x, goal.y - start.y, goal.yaw)
 
+    def scan(self) -> Scan:
+        """One lidar sweep with fresh noise."""
+        return self._lidar.scan(self._data, self._rng)
+
     def observe(self) -> Observation:
         """Take a scan, let it mark and clear both obstacle maps, and return all that a driver may know.
 
         Call it once per tick: every call is a new scan with new noise.
         """
-        scan = self._lidar.scan(self._data, self._rng)
+        scan = self.scan()
         pose = self._odometry.pose
         points, sensor = scan_points(scan, pose)
         self._local_map = update_obstacles(self._local_map, LOCAL_MAP, points, sensor, pose)

@@ -15,6 +15,7 @@ from enum import StrEnum
 from numba import njit
 
 from twin.geometry import shortest_angle
+from twin.planner.controller import set_plan
 from twin.planner.footprint import FOOTPRINT, footprint_cost
 from twin.planner.inflation import Costmap
 from twin.planner.params import PlannerParams
@@ -25,7 +26,6 @@ from twin.planner.plan import (
     PlannerSettings,
     control,
     plan_globally,
-    set_plan,
     update_costmaps,
 )
 from twin.records import STOP, Array, Bytes, Command, Decision, Observation, ObstacleMap, Pose2
@@ -248,7 +248,7 @@ def _rotation_is_legal(local: Costmap, pose: Pose2, left: float) -> bool:
     return bool(_turn_is_legal(local.cells, x, y, local.resolution, pose.x, pose.y, pose.yaw, left, FOOTPRINT))
 
 
-@njit(cache=True)  # type: ignore[misc]
+@njit(cache=True)  # type: ignore[untyped-decorator]
 def _turn_is_legal(
     cells: Bytes,
     origin_x: float,
