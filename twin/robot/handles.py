@@ -24,7 +24,6 @@ class RobotHandles:
     free_dof: int  # qvel address of the free joint: linear (3) [m/s] world, angular (3) [rad/s] body
     wheel_dofs: Indices  # (4,) qvel addresses
     actuators: Indices  # (4,) ctrl addresses
-    gyro: int  # sensordata address of the angular rate x, y, z [rad/s] in base_link
     lidar: int  # site id
     mount: tuple[float, float, float]  # [m] lidar focal point in base_link
     floor: int  # geom id
@@ -47,7 +46,6 @@ class RobotHandles:
             free_dof=int(model.jnt_dofadr[joint]),
             wheel_dofs=np.array([model.jnt_dofadr[model.joint(wheel).id] for wheel in wheels]),
             actuators=np.array([model.actuator(wheel).id for wheel in wheels]),
-            gyro=int(model.sensor_adr[model.sensor(f"{prefix}gyro").id]),
             lidar=lidar,
             mount=(float(mount[0]), float(mount[1]), float(mount[2])),
             is_robot=model.body_rootid[model.geom_bodyid] == base,
@@ -70,8 +68,11 @@ class RobotHandles:
         return np.asarray(data.qvel[self.wheel_dofs], dtype=np.float64)
 
     def yaw_rate(self, data: mujoco.MjData) -> float:
-        """The gyro's z [rad/s] at the last mj_step or mj_forward, without noise."""
-        return float(data.sensordata[self.gyro + 2])
+        """The gyro's z [rad/s], without noise.
+
+        Read from the state, not from `sensordata`, which lags one step behind it and does not survive a restore.
+        """
+        return float(data.qvel[self.free_dof + 5])  # a free joint's angular velocity is in the body's own frame
 
     def drive(self, data: mujoco.MjData, left: float, right: float) -> None:
         """Command the wheel servos [rad/s]."""

@@ -32,30 +32,30 @@ class Lidar:
 
     def __init__(self, model: mujoco.MjModel, handles: RobotHandles, config: LidarConfig | None = None) -> None:
         self.config = config or LidarConfig()
-        self._model = model
-        self._handles = handles
+        self.model = model
+        self.handles = handles
         bearings = np.linspace(-self.config.angle, self.config.angle, self.config.beams)
         # (n, 3) unit rays in the sensor frame
-        self._rays = np.column_stack([np.cos(bearings), np.sin(bearings), np.zeros(self.config.beams)])
-        self._directions = np.empty_like(self._rays)  # the same in the world frame, for one scan
+        self.rays = np.column_stack([np.cos(bearings), np.sin(bearings), np.zeros(self.config.beams)])
+        self._directions = np.empty_like(self.rays)  # the same in the world frame, for one scan
         self._distances = np.empty(self.config.beams)
-        self._geoms = np.empty(self.config.beams, dtype=np.int32)
-        self._visible = np.zeros(mujoco.mjNGROUP, dtype=np.uint8)
-        self._visible[OBSTACLE_GROUP] = 1
+        self.geoms = np.empty(self.config.beams, dtype=np.int32)
+        self.visible = np.zeros(mujoco.mjNGROUP, dtype=np.uint8)
+        self.visible[OBSTACLE_GROUP] = 1
 
     def cast(self, data: mujoco.MjData) -> Array:
         """(n,) exact distance along each beam [m], inf without a hit; needs the kinematics of the current state."""
-        site = self._handles.lidar
-        np.matmul(self._rays, data.site_xmat[site].reshape(3, 3).T, out=self._directions)
+        site = self.handles.lidar
+        np.matmul(self.rays, data.site_xmat[site].reshape(3, 3).T, out=self._directions)
         mujoco.mj_multiRay(
-            self._model,
+            self.model,
             data,
             data.site_xpos[site],
             self._directions.ravel(),
-            self._visible,
+            self.visible,
             True,  # static bodies too
             -1,  # exclude no body: the group does that
-            self._geoms,
+            self.geoms,
             self._distances,
             None,  # no normals
             self.config.beams,
@@ -74,5 +74,5 @@ class Lidar:
             angle_max=config.angle,
             range_min=config.range_min,
             range_max=config.range_max,
-            mount=self._handles.mount,
+            mount=self.handles.mount,
         )
