@@ -7,7 +7,7 @@ from dataclasses import fields
 
 import numpy as np
 
-from twin.free_space import obstacle_distance
+from twin.free_space import free_space, obstacle_distance
 from twin.geometry import transform_points
 from twin.records import Array, Pose2
 from twin.world import Mesh, Obstacle, World
@@ -16,8 +16,8 @@ MAX_OBSTACLES = 20_000  # MuJoCo's broad phase and the lidar both go through all
 MAX_COORDINATE = 1_000.0  # [m] beyond this, metres were probably not meant
 HALF_LENGTH = 0.210  # [m] chassis 0.420 m long (jackal.urdf.xacro)
 HALF_WIDTH = 0.187795 + 0.020  # [m] wheel centre plus half a wheel (jackal.urdf.xacro)
+ROOM_TO_MOVE = 1.0  # [m2] a start with less ground than this within reach is inside something
 START_GAP = 0.01  # [m] the outline is tested by points this close to each other
-MAX_SAFE_INDEX = 2**31 - 1
 
 
 class WorldError(ValueError):
@@ -39,12 +39,20 @@ def checked(world: World) -> World:
                 f"{world.name}: {what} = {pose.x}, {pose.y}, {pose.yaw} is not a place; give finite metres"
             )
     gap = obstacle_distance(world.obstacles, _outline_points(world.start)).min()
-    if gap < START_GAP:
+    if gap < START_GAP or _locked_in(world):
         raise WorldError(
             f"{world.name}: the robot would start inside an obstacle at x={world.start.x:g}, y={world.start.y:g}; "
-            "give a free place with --start x,y,yaw"
+            "give a free place with --start=x,y,yaw"
         )
     return world
+
+
+def _locked_in(world: World) -> bool:
+    """Whether the start lies inside a closed mesh, such as a cupboard: a surface has no inside to test."""
+    if not any(isinstance(obstacle, Mesh) for obstacle in world.obstacles):
+        return False
+    space = free_space(world, 0.05)
+    return float(space.reachable(world.start, HALF_WIDTH).sum()) * space.resolution**2 < ROOM_TO_MOVE
 
 
 def _check_numbers(name: str, obstacle: Obstacle) -> None:

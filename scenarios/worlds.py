@@ -6,7 +6,6 @@ import dataclasses
 import difflib
 import math
 import re
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -107,10 +106,9 @@ def _read(path: Path, suffix: str, fragment: str, protocol: str, start: Pose2 | 
     if suffix == ".toml":
         return read_course(path)
     if suffix in (".yaml", ".yml", *MESH_SUFFIXES):
-        from scenarios import imported  # trimesh and pillow are loaded only when a map or mesh is asked for
+        from scenarios.imported import read_map, read_mesh  # loads pillow and trimesh: only when asked for
 
-        read: Callable[..., World] = imported.read_mesh if suffix in MESH_SUFFIXES else imported.read_map
-        return read(path, start, goal)
+        return (read_mesh if suffix in MESH_SUFFIXES else read_map)(path, start, goal)
     if suffix == ".npz":
         grid, ends, index = barn_files.read_archive(path, fragment)
     elif suffix == ".npy":

@@ -68,9 +68,9 @@ def free_space(world: World, resolution: float = 0.05) -> FreeSpace:
                 near, _ = cKDTree(points).query(centres, distance_upper_bound=HORIZON)
                 np.minimum(distance, near.reshape(shape), out=distance)
         elif not _above_robot(obstacle):
-            reach = _outer_radius(obstacle) + HORIZON
-            rows = slice(*np.searchsorted(y, (obstacle.y - reach, obstacle.y + reach)))
-            columns = slice(*np.searchsorted(x, (obstacle.x - reach, obstacle.x + reach)))
+            reach_x, reach_y = _half_extent(obstacle) + HORIZON
+            rows = slice(*np.searchsorted(y, (obstacle.y - reach_y, obstacle.y + reach_y)))
+            columns = slice(*np.searchsorted(x, (obstacle.x - reach_x, obstacle.x + reach_x)))
             window = distance[rows, columns]
             np.minimum(window, _signed_distance(obstacle, x[None, columns], y[rows, None]), out=window)
     return FreeSpace(frozen_array(distance), (float(low[0]), float(low[1])), resolution)
@@ -129,10 +129,12 @@ def _above_robot(obstacle: Cylinder | Box) -> bool:
     return isinstance(obstacle, Box) and obstacle.bottom >= ROBOT_TOP
 
 
-def _outer_radius(obstacle: Cylinder | Box) -> float:
+def _half_extent(obstacle: Cylinder | Box) -> Array:
+    """(2,) [m] half the sides of the upright rectangle round the obstacle, along the world's x and y."""
     if isinstance(obstacle, Cylinder):
-        return obstacle.radius
-    return math.hypot(obstacle.length, obstacle.width) / 2
+        return np.array([obstacle.radius, obstacle.radius])
+    c, s = abs(math.cos(obstacle.yaw)), abs(math.sin(obstacle.yaw))
+    return np.array([c * obstacle.length + s * obstacle.width, s * obstacle.length + c * obstacle.width]) / 2
 
 
 def _signed_distance(obstacle: Cylinder | Box, x: Array, y: Array) -> Array:
@@ -154,8 +156,8 @@ def _bounds(world: World) -> tuple[Array, Array]:
         if isinstance(obstacle, Mesh):
             points.append(obstacle.vertices[:, :2])
         else:
-            reach = _outer_radius(obstacle)
+            half = _half_extent(obstacle)
             centre = np.array([obstacle.x, obstacle.y])
-            points.append(np.stack([centre - reach, centre + reach]))
+            points.append(np.stack([centre - half, centre + half]))
     everything = np.concatenate(points)
     return everything.min(axis=0) - MARGIN, everything.max(axis=0) + MARGIN
