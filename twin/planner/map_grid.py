@@ -10,14 +10,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twin.planner.footprint import FOOTPRINT, footprint_cells, raster_capacity
-from twin.planner.grid import INSCRIBED, NO_INFORMATION, cell_to_world, compiled, world_to_cell
+from twin.planner.grid import NO_INFORMATION, cell_to_world, compiled, world_to_cell
 from twin.planner.inflation import Costmap
+from twin.planner.wave import BLOCKED, UNMET, Cells, Wave, clear, empty_wave, finish, seed
 from twin.records import Array, Bytes, Pose2, frozen_array
-
-Cells = NDArray[np.int32]
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,12 +37,21 @@ def map_grids(costmap: Costmap, pose: Pose2, plan: Array) -> MapGrids:
     path = np.empty((ny, nx), dtype=np.int32)
     goal = np.empty((ny, nx), dtype=np.int32)
     within = np.zeros((ny, nx), dtype=np.uint8)
-    scratch = np.empty(ny * nx + raster_capacity(FOOTPRINT, costmap.resolution), dtype=np.int32)
-    flat_goal = fill_grids(
+    local_goal = _fill_grids(
         read_only(costmap.cells), *costmap.origin, costmap.resolution, pose.x, pose.y, pose.yaw, FOOTPRINT,
-        np.ascontiguousarray(plan, dtype=np.float64), path, goal, within, scratch,
+        plan_points(plan), empty_wave(ny, nx), raster_scratch(costmap.resolution), path, goal, within,
     )  # fmt: skip
-    return MapGrids(frozen_array(path), frozen_array(goal), frozen_array(within), goal_centre(costmap, flat_goal))
+    return MapGrids(frozen_array(path), frozen_array(goal), frozen_array(within), goal_centre(costmap, local_goal))
+
+
+def plan_points(plan: Array) -> Array:
+    """The plan (n, >= 2) as the compiled loops take it: C-contiguous, read-only."""
+    return frozen_array(np.array(plan, dtype=np.float64))
+
+
+def raster_scratch(resolution: float) -> Cells:
+    """Scratch for the cells under the footprint."""
+    return np.empty(raster_capacity(FOOTPRINT, resolution), dtype=np.int32)
 
 
 def read_only(array: Bytes) -> Bytes:
@@ -68,17 +75,16 @@ def goal_centre(costmap: Costmap, flat_cell: int) -> tuple[float, float] | None:
 
 @compiled
 def seed_plan(
-    plan: Array, cells: Bytes, origin_x: float, origin_y: float, resolution: float, values: Cells, queue: Cells
+    path: Wave, cells: Bytes, origin_x: float, origin_y: float, resolution: float, plan: Array
 ) -> tuple[int, int]:
-    """Set the cells of the plan, made dense, to 0 in `values` and list each once, in plan order, in `queue`.
+    """Start the path wave from every cell of the plan, made dense; returns the local goal's cell, or (-1, -1).
 
     Points further apart than a cell get equally spaced points between them (`MapGrid::adjustPlanResolution`). A point
     counts when it is on the map and its cell is known; the run begins with the first that counts and ends before the
-    next that does not. Returns the length of the list and the flat index of the last cell (the local goal), or -1.
+    next that does not. The local goal is the run's last cell.
     """
     size_y, size_x = cells.shape
-    value = values.ravel()
-    count, last = 0, -1
+    goal_x, goal_y = -1, -1
     for k in range(plan.shape[0]):
         steps = 1
         from_x, from_y, delta_x, delta_y = plan[k, 0], plan[k, 1], 0.0, 0.0
@@ -96,63 +102,39 @@ def seed_plan(
                 x, y = plan[k, 0], plan[k, 1]
             mx, my = world_to_cell(x, y, origin_x, origin_y, resolution, size_x, size_y)
             if mx < 0 or cells[my, mx] == NO_INFORMATION:
-                if last >= 0:
-                    return count, last
+                if goal_x >= 0:
+                    return goal_x, goal_y
                 continue
-            last = my * size_x + mx
-            if value[last] != 0:
-                value[last] = 0
-                queue[count] = last
-                count += 1
-    return count, last
+            goal_x, goal_y = mx, my
+            seed(path, (my + 1) * path.width + mx + 1)
+    return goal_x, goal_y
 
 
 @compiled
-def spread(cells: Bytes, within: Bytes, values: Cells, queue: Cells, seeds: int) -> None:
-    """The wave from the first `seeds` cells of `queue` over the whole grid (`MapGrid::computeTargetDistance`).
-
-    `values` must hold ny * nx + 1 everywhere but 0 at the seeds. Seeds spread even when they are obstacles; other cells
-    of cost 253 and more get ny * nx and stop the wave, unless the robot stands on them (`within`).
-    """
-    size_y, size_x = cells.shape
-    obstacle = size_x * size_y
-    unreached = obstacle + 1
-    flat, robot, value = cells.ravel(), within.ravel(), values.ravel()
-    head, tail = 0, seeds
-    while head < tail:
-        index = queue[head]
-        head += 1
-        steps = value[index] + 1
-        x = index % size_x
-        for k in range(4):
-            if k == 0:
-                if x == 0:
-                    continue
-                neighbour = index - 1
-            elif k == 1:
-                if x == size_x - 1:
-                    continue
-                neighbour = index + 1
-            elif k == 2:
-                neighbour = index - size_x
-                if neighbour < 0:
-                    continue
-            else:
-                neighbour = index + size_x
-                if neighbour >= obstacle:
-                    continue
-            if value[neighbour] != unreached:
-                continue
-            if flat[neighbour] >= INSCRIBED and robot[neighbour] == 0:
-                value[neighbour] = obstacle
-                continue
-            value[neighbour] = steps
-            queue[tail] = neighbour
-            tail += 1
+def open_robot(
+    path: Wave,
+    size_x: int,
+    size_y: int,
+    origin_x: float,
+    origin_y: float,
+    resolution: float,
+    x: float,
+    y: float,
+    yaw: float,
+    footprint: Array,
+    raster: Cells,
+) -> int:
+    """Let the path wave (never the goal's) pass under the footprint; returns how many cells of `raster` that are."""
+    found = footprint_cells(origin_x, origin_y, resolution, size_x, size_y, x, y, yaw, footprint, raster)
+    for k in range(found.length):
+        index = (raster[k] // size_x + 1) * path.width + raster[k] % size_x + 1
+        if path.value[index] == BLOCKED:
+            path.value[index] = UNMET
+    return found.length
 
 
 @compiled
-def fill_grids(
+def _fill_grids(
     cells: Bytes,
     origin_x: float,
     origin_y: float,
@@ -162,29 +144,40 @@ def fill_grids(
     yaw: float,
     footprint: Array,
     plan: Array,
+    wave: Wave,
+    raster: Cells,
     path: Cells,
     goal: Cells,
     within: Bytes,
-    scratch: Cells,
 ) -> int:
-    """Fill both grids and the within-robot marks (zero on entry); returns the local goal's flat cell index or -1.
-
-    `scratch` holds ny * nx + `raster_capacity` cells.
-    """
+    """Fill both grids and the within-robot marks (zero on entry); returns the local goal's flat cell index or -1."""
     size_y, size_x = cells.shape
-    unreached = size_x * size_y + 1
-    path[:] = unreached
-    goal[:] = unreached
-    raster = footprint_cells(origin_x, origin_y, resolution, size_x, size_y, x, y, yaw, footprint, scratch)
-    marks = within.ravel()
-    for k in range(raster.length):
-        marks[scratch[k]] = 1
+    clear(wave, cells)
+    covered = open_robot(wave, size_x, size_y, origin_x, origin_y, resolution, x, y, yaw, footprint, raster)
+    for k in range(covered):
+        within[raster[k] // size_x, raster[k] % size_x] = 1
+    goal_x, goal_y = seed_plan(wave, cells, origin_x, origin_y, resolution, plan)
+    _values(wave, path)
+    clear(wave, cells)
+    if goal_x >= 0:
+        seed(wave, (goal_y + 1) * wave.width + goal_x + 1)
+    _values(wave, goal)
+    return goal_y * size_x + goal_x if goal_x >= 0 else -1
 
-    seeds, last = seed_plan(plan, cells, origin_x, origin_y, resolution, path, scratch)
-    if last < 0:
-        return -1
-    spread(cells, within, path, scratch, seeds)
-    goal.ravel()[last] = 0
-    scratch[0] = last
-    spread(cells, np.zeros_like(within), goal, scratch, 1)
-    return last
+
+@compiled
+def _values(wave: Wave, grid: Cells) -> None:
+    """The wave's whole grid in ROS's numbers: as `grid_value` of every cell, but faster."""
+    finish(wave)
+    value = wave.value
+    size_y, size_x = grid.shape
+    for y in range(size_y):
+        for x in range(size_x):
+            index = (y + 1) * wave.width + x + 1
+            steps = value[index]
+            if steps < 0:
+                near = max(
+                    max(value[index - 1], value[index + 1]), max(value[index - wave.width], value[index + wave.width])
+                )
+                steps = size_x * size_y + (0 if steps == BLOCKED and near >= 0 else 1)
+            grid[y, x] = steps
