@@ -17,3 +17,6 @@ class Agreement:
     def complete(self) -> bool:
         """Whether every case agrees."""
         return not self.differing
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.cases - len(self.differing)} of {self.cases} cases equal"
