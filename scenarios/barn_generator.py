@@ -81,8 +81,11 @@ def random_grid(rng: np.random.Generator, fill: float, smoothing: int) -> Grid:
 
 def smoothed(grid: Grid) -> Grid:
     """One step of the automaton. Outside rows count as filled, outside columns as empty."""
-    padded = np.pad(np.pad(grid, ((1, 1), (0, 0)), constant_values=1), ((0, 0), (1, 1)))
-    neighbours = np.lib.stride_tricks.sliding_window_view(padded, (3, 3)).sum(axis=(2, 3), dtype=np.int64) - grid
+    padded = np.zeros((SIZE + 2, SIZE + 2), dtype=np.int64)
+    padded[[0, -1]] = 1  # rows first: beyond a corner is filled, too
+    padded[1:-1, 1:-1] = grid
+    in_rows = padded[:-2] + padded[1:-1] + padded[2:]
+    neighbours = in_rows[:, :-2] + in_rows[:, 1:-1] + in_rows[:, 2:] - grid
     return np.where(neighbours >= FILL_FROM, 1, np.where(neighbours <= EMPTY_UP_TO, 0, grid)).astype(np.uint8)
 
 
