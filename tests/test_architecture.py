@@ -30,6 +30,7 @@ ALLOWED: dict[str, tuple[str, ...]] = {
         "twin.geometry",
         "twin.planner.obstacle_layer",  # an observation holds what the obstacle layers remember
     ),
+    "twin.rewind": ("twin.rollout", "twin.simulation", "twin.records"),
     "twin.rollout": ("twin.simulation", "twin.world", "twin.records", "twin.geometry"),
     "twin.recording": (
         "twin.recording",

@@ -163,3 +163,9 @@ class Tick:
     contact: Contact | None  # the first contact during the step that followed the decision
     elapsed: float  # [s] on the trial's clock after the step
     outcome: Outcome | None  # set on the last tick only
+    override: Command | None = None  # a person's command, applied instead of the decision's
+
+    @property
+    def applied(self) -> Command | None:
+        """What the base was told: the person's command if there was one, else the driver's."""
+        return self.decision.command if self.override is None else self.override

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from twin.geometry import distance
-from twin.records import Contact, Decision, Observation, Outcome, Pose2, Tick
-from twin.simulation import Simulation
+from twin.records import Command, Contact, Decision, Observation, Outcome, Pose2, Tick
+from twin.simulation import Simulation, Snapshot
 from twin.world import World
 
 
@@ -53,31 +53,63 @@ class Referee:
         return Outcome.TIMED_OUT if time - start >= rules.time_limit - 1e-9 else None
 
 
-def rollout(simulation: Simulation, driver: Driver, memory: Any = None, index: int = 0) -> Iterator[Tick]:
-    """Drive until the world's rules end the trial; one tick per 50 ms.
+@dataclass(frozen=True, slots=True)
+class LoopState:
+    """Everything that decides how a closed loop goes on."""
 
-    `memory` continues a driver in the middle of a drive (after a rewind); None starts it. `index` numbers the first
-    tick. The simulation is left as it was after the last tick that was asked for.
-    """
-    memory = driver.start() if memory is None else memory
-    referee = Referee(simulation.world).started(simulation.time, simulation.true_pose)
-    outcome = None
-    while outcome is None:
+    simulation: Snapshot
+    memory: Any
+    index: int
+    referee: Referee
+
+
+class Loop:
+    """A simulation and its driver, one tick at a time, with a state that can be saved and put back."""
+
+    def __init__(self, simulation: Simulation, driver: Driver) -> None:
+        """At the start of the trial."""
+        self.simulation, self.driver = simulation, driver
+        self._memory = driver.start()
+        self._index = 0
+        self._referee = Referee(simulation.world).started(simulation.time, simulation.true_pose)
+
+    def step(self, override: Command | None = None) -> Tick:
+        """Sense, decide, act for 50 ms. An override is a person's command and goes first, as in twist_mux.
+
+        The driver decides all the same, as a planner goes on planning while somebody else drives.
+        """
+        simulation = self.simulation
         true_pose, bodies, clearance = simulation.true_pose, simulation.body_poses, simulation.clearance
         observation = simulation.observe()
-        decision, memory = driver.decide(observation, memory)
-        contact = simulation.apply(decision.command, decision.clear_beyond)
-        referee = referee.started(simulation.time, simulation.true_pose)
-        outcome = referee.outcome(simulation.time, simulation.true_pose, contact, decision)
-        yield Tick(
-            index,
-            observation,
-            decision,
-            true_pose,
-            bodies,
-            clearance,
-            contact,
-            referee.elapsed(simulation.time),
-            outcome,
+        decision, self._memory = self.driver.decide(observation, self._memory)
+        if override is None:
+            contact = simulation.apply(decision.command, decision.clear_beyond)
+        else:
+            contact = simulation.apply(override)
+        self._referee = self._referee.started(simulation.time, simulation.true_pose)
+        outcome = self._referee.outcome(simulation.time, simulation.true_pose, contact, decision)
+        elapsed = self._referee.elapsed(simulation.time)
+        tick = Tick(
+            self._index, observation, decision, true_pose, bodies, clearance, contact, elapsed, outcome, override
         )
-        index += 1
+        self._index += 1
+        return tick
+
+    def save(self) -> LoopState:
+        """The state between two ticks."""
+        return LoopState(self.simulation.snapshot(), self._memory, self._index, self._referee)
+
+    def restore(self, state: LoopState) -> None:
+        """Back to a saved state; what follows replays bit for bit."""
+        self.simulation.restore(state.simulation)
+        self._memory, self._index, self._referee = state.memory, state.index, state.referee
+
+
+def rollout(simulation: Simulation, driver: Driver) -> Iterator[Tick]:
+    """Drive until the world's rules end the trial; one tick per 50 ms."""
+    loop = Loop(simulation, driver)
+    while True:
+        tick = loop.step()
+        yield tick
+        if tick.outcome is not None:
+            return
