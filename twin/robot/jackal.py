@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 from twin.robot.pymjcf import mjcf
@@ -72,6 +73,22 @@ LIDAR_MOUNTS: Final = {
 }
 
 
+ASSETS: Final = Path(__file__).parents[1] / "assets"  # meshes by twin/assets/make_meshes.py, for the eye only
+COLOURS: Final[dict[str, dict[str, Any]]] = {  # material by the last word of a mesh's name
+    "black": {"rgba": (0.085, 0.085, 0.095, 1), "specular": 0.35, "shininess": 0.45},
+    "grey": {"rgba": (0.23, 0.235, 0.25, 1), "specular": 0.5, "shininess": 0.5},
+    "dark": {"rgba": (0.03, 0.03, 0.035, 1), "specular": 0.1, "shininess": 0.1},
+    "yellow": {"rgba": (0.98, 0.73, 0.05, 1), "specular": 0.4, "shininess": 0.6},
+    "tyre": {"rgba": (0.06, 0.06, 0.062, 1), "specular": 0.08, "shininess": 0.1},
+    "rim": {"rgba": (0.30, 0.31, 0.33, 1), "specular": 0.6, "shininess": 0.6},
+    "lamp": {"rgba": (0.96, 0.97, 1.0, 1), "emission": 0.6},
+    "tail": {"rgba": (0.85, 0.08, 0.07, 1), "emission": 0.4},
+    "window": {"rgba": (0.02, 0.02, 0.03, 1), "specular": 1.0, "shininess": 0.9},
+    "accent": {"rgba": (0.95, 0.45, 0.08, 1), "specular": 0.4, "shininess": 0.5},
+    "blue": {"rgba": (0.12, 0.30, 0.60, 1), "specular": 0.4, "shininess": 0.5},
+}
+
+
 def build_jackal(lidar_mount: str = "ust10") -> mjcf.RootElement:
     """The robot as a PyMJCF model named `jackal`; the arena attaches it and gives the frame its free joint."""
     if lidar_mount not in LIDAR_MOUNTS:
@@ -100,9 +117,22 @@ def build_jackal(lidar_mount: str = "ust10") -> mjcf.RootElement:
     imu.add("inertial", mass=IMU_MASS, pos=(0, 0, 0), diaginertia=(1e-9, 1e-9, 1e-9))
     imu.add("site", name="imu", size=(0.01,))
     root.sensor.add("gyro", name="gyro", site="imu")
+    _dress(root, chassis, "chassis")
+    # The sun travels with the robot, without turning, so that the shadow map can be small and sharp.
+    chassis.add(
+        "light",
+        name="sun",
+        type="directional",
+        mode="track",
+        pos=(-1.6, -1.3, 5),
+        dir=(0.32, 0.26, -1),
+        diffuse=(0.62, 0.60, 0.55),
+        specular=(0.25, 0.25, 0.25),
+    )
     for name, centre in zip(WHEELS, WHEEL_CENTRES, strict=True):
         _add_wheel(root, chassis, name, centre)
-    _add_lidar(chassis, LIDAR_MOUNTS[lidar_mount])
+    lidar = _add_lidar(chassis, LIDAR_MOUNTS[lidar_mount])
+    _dress(root, lidar, lidar_mount)
     return root
 
 
@@ -125,12 +155,25 @@ def _add_wheel(root: Any, chassis: Any, name: str, centre: tuple[float, float, f
         **ROBOT_CONTACT,
     )
     root.actuator.add("velocity", name=f"{name}_wheel", joint=joint, kv=SERVO_GAIN)
+    _dress(root, wheel, "wheel", quat=(1, 0, 0, 0) if centre[1] > 0 else (0, 0, 0, 1))  # the outer side outside
 
 
-def _add_lidar(chassis: Any, mount: LidarMount) -> None:
+def _add_lidar(chassis: Any, mount: LidarMount) -> Any:
     """The lidar as a weight on the chassis; like the URDF's it collides with nothing."""
     x, y, z = mount.size
     inertia = tuple(mount.mass / 12 * s for s in (y * y + z * z, x * x + z * z, x * x + y * y))
     lidar = chassis.add("body", name="lidar", pos=mount.position)
     lidar.add("inertial", mass=mount.mass, pos=(0, 0, 0), diaginertia=inertia)
     lidar.add("site", name="lidar", size=(0.01,))
+    return lidar
+
+
+def _dress(root: Any, body: Any, part: str, **place: Any) -> None:
+    """Hang the meshes `<part>_<colour>.stl` on a body."""
+    for colour, look in COLOURS.items():
+        path = ASSETS / f"{part}_{colour}.stl"
+        if not path.exists():
+            continue
+        material = root.find("material", colour) or root.asset.add("material", name=colour, **look)
+        mesh = root.find("mesh", path.stem) or root.asset.add("mesh", name=path.stem, file=str(path), inertia="shell")
+        body.add("geom", type="mesh", mesh=mesh, material=material, group=VISUAL_GROUP, **NO_CONTACT, **place)
