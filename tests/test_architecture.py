@@ -16,7 +16,7 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "twin.geometry": ("twin.records",),
     "twin.world": ("twin.records", "twin.geometry"),
     "twin.free_space": ("twin.records", "twin.geometry", "twin.world"),
-    "twin.clearance": ("twin.records", "twin.geometry", "twin.world"),
+    "twin.clearance": ("twin.free_space", "twin.records", "twin.geometry", "twin.world"),
     "twin.robot": ("twin.robot", "twin.records", "twin.geometry"),
     "twin.planner": ("twin.planner", "twin.records", "twin.geometry"),
     "twin.columns": ("twin.records", "twin.world"),
@@ -41,7 +41,8 @@ ALLOWED: dict[str, tuple[str, ...]] = {
         "twin.geometry",
     ),
     "twin": ("twin",),
-    "learning": ("learning", "twin.planner", "twin.records", "twin.geometry"),
+    # the bystander of learning.intervener sees true poses and the true map: data, no physics
+    "learning": ("learning", "twin.planner", "twin.records", "twin.geometry", "twin.world", "twin.free_space"),
     "scenarios": ("scenarios", "learning", "twin"),
 }
 

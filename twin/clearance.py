@@ -7,12 +7,12 @@ import math
 import numpy as np
 from numba import njit
 
+from twin.free_space import ROBOT_TOP, mesh_points
 from twin.records import Array, Pose2
 from twin.world import Box, Cylinder, Mesh, World
 
 HALF_LENGTH = 0.131 + 0.098  # [m] wheel centre plus wheel radius: the wheels lead the chassis (jackal.urdf.xacro)
 HALF_WIDTH = 0.187795 + 0.020  # [m] wheel centre plus half a wheel (jackal.urdf.xacro)
-ROBOT_TOP = 0.35  # [m] obstacles that begin above the robot cannot be hit
 MESH_SPACING = 0.02  # [m] a mesh is judged by points of its surface at this spacing
 
 
@@ -26,7 +26,7 @@ class ClearanceGauge:
             for b in world.obstacles
             if isinstance(b, Box) and b.bottom < ROBOT_TOP
         ]
-        meshes = [_surface_points(m) for m in world.obstacles if isinstance(m, Mesh)]
+        meshes = [mesh_points(m, MESH_SPACING) for m in world.obstacles if isinstance(m, Mesh)]
         points = np.concatenate(meshes) if meshes else np.empty((0, 2))
         discs = np.array(cylinders, dtype=np.float64).reshape(-1, 3)
         self._discs = np.concatenate([discs, np.c_[points, np.zeros(len(points))]])
@@ -35,21 +35,6 @@ class ClearanceGauge:
     def __call__(self, pose: Pose2) -> float:
         """Clearance [m] of the robot at `pose` (world); 0 when touching, inf in an empty world."""
         return float(_clearance(self._discs, self._boxes, pose.x, pose.y, math.cos(pose.yaw), math.sin(pose.yaw)))
-
-
-def _surface_points(mesh: Mesh) -> Array:
-    """(n, 2) points of the mesh's triangles between the floor and the robot's top."""
-    points = []
-    for a, b, c in mesh.vertices[mesh.faces]:
-        if max(a[2], b[2], c[2]) < 0.02 or min(a[2], b[2], c[2]) > ROBOT_TOP:
-            continue
-        longest = max(np.linalg.norm(b - a), np.linalg.norm(c - a), np.linalg.norm(c - b))
-        n = min(400, max(1, math.ceil(longest / MESH_SPACING)))
-        u, v = np.meshgrid(np.linspace(0, 1, n + 1), np.linspace(0, 1, n + 1))
-        inside = (u + v) <= 1 + 1e-12
-        samples = a + u[inside, None] * (b - a) + v[inside, None] * (c - a)
-        points.append(samples[(samples[:, 2] > 0.02) & (samples[:, 2] < ROBOT_TOP), :2])
-    return np.unique(np.round(np.concatenate(points), 3), axis=0) if points else np.empty((0, 2))
 
 
 @njit(cache=True)  # type: ignore[untyped-decorator]
