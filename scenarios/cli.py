@@ -54,6 +54,28 @@ def run(
     return run_command(world, driver, protocol, seed, params, start, goal, record, json, switches)
 
 
+def collect(
+    world: Positional[str],
+    /,
+    out: Path,
+    protocol: Protocol = "appli",
+    seed: int = 0,
+    record: bool = False,
+) -> int:
+    """Watch the default planner, intervene like a person, and write the interventions (types A, B and D).
+
+    Args:
+        world: As for `appli run`.
+        out: Folder for the interventions, one .npz each.
+        protocol: Start, goal, tolerance and time limit of BARN worlds.
+        seed: Root of all noise.
+        record: Write a recording of each demonstration beside it.
+    """
+    from scenarios.collect import collect_command
+
+    return collect_command(world, out, protocol, seed, record)
+
+
 def worlds(json: bool = False) -> int:
     """List the built-in worlds.
 
@@ -90,7 +112,13 @@ def bench(json: bool = False, repeats: int = 2) -> int:
 
 
 DESCRIPTION = "A digital twin of the Clearpath Jackal under ROS's move_base, and APPLI on top of it."
-COMMANDS: dict[str, Callable[..., int]] = {"run": run, "worlds": worlds, "bench": bench, "demo": demo}
+COMMANDS: dict[str, Callable[..., int]] = {
+    "run": run,
+    "collect": collect,
+    "worlds": worlds,
+    "bench": bench,
+    "demo": demo,
+}
 
 
 def main(arguments: list[str] | None = None) -> None:

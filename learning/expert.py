@@ -1,0 +1,88 @@
+"""The scripted human at the joystick: follows a route with delay, ramps and a slightly unsteady hand."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from learning.route import Pace, Route
+from twin.geometry import normalize_angle
+from twin.records import Array, Command, Pose2
+
+TICK = 0.05  # [s]
+REACTION = 0.2  # [s] until the hand acts after taking over
+V_RAMP = 2.0  # [m/s2] the stick is not slammed
+W_RAMP = 6.0  # [rad/s2]
+TURN_FIRST = 0.9  # [rad] heading errors above this are turned away in place
+UNSTEADY_V = 0.01  # [m/s] standard deviation of the hand's wander
+UNSTEADY_W = 0.02  # [rad/s]
+WANDER_TIME = 0.5  # [s] correlation of the wander
+
+
+@dataclass(frozen=True, slots=True)
+class Hand:
+    """What the person's hand is doing; immutable."""
+
+    command: Command  # last one sent
+    age: float = 0.0  # [s] since taking over
+    wander: tuple[float, float] = (0.0, 0.0)
+    progress: int = 0  # index on the route
+
+
+@dataclass(frozen=True, slots=True)
+class Expert:
+    """Drives one route."""
+
+    route: Route
+    pace: Pace
+
+    def drive(self, hand: Hand, pose: Pose2, rng: np.random.Generator) -> tuple[Command, Hand]:
+        """The command for the true pose (world), and the hand afterwards."""
+        wander = _wander(hand.wander, rng)
+        if hand.age < REACTION - 1e-9:
+            return hand.command, replace(hand, age=hand.age + TICK, wander=wander)
+        progress = _nearest_ahead(self.route.points, hand.progress, pose)
+        wish = self._wish(progress, pose, hand.command.v)
+        v = _ramp(hand.command.v, wish.v + wander[0] * UNSTEADY_V, V_RAMP * TICK)
+        w = _ramp(hand.command.w, wish.w + wander[1] * UNSTEADY_W, W_RAMP * TICK)
+        command = Command(min(max(v, 0.0), self.pace.top), min(max(w, -self.pace.turn), self.pace.turn))
+        return command, Hand(command, hand.age + TICK, wander, progress)
+
+    def at_end(self, hand: Hand) -> bool:
+        """Whether the route is done."""
+        return hand.progress >= len(self.route.points) - 4
+
+    def _wish(self, progress: int, pose: Pose2, v: float) -> Command:
+        """Pure pursuit at the route's speed; a turn in place first when the route points elsewhere."""
+        ahead = 0.30 + 0.35 * max(v, 0.0)
+        target = self.route.points[min(len(self.route.points) - 1, progress + max(2, round(ahead / 0.05)))]
+        dx, dy = float(target[0]) - pose.x, float(target[1]) - pose.y
+        distance = max(math.hypot(dx, dy), 1e-3)
+        error = normalize_angle(math.atan2(dy, dx) - pose.yaw)
+        if abs(error) > TURN_FIRST:
+            return Command(0.0, math.copysign(min(self.pace.turn, 2.0 * abs(error)), error))
+        curvature = 2.0 * math.sin(error) / distance
+        speed = float(self.route.speed[progress])
+        if abs(curvature) > 1e-6:
+            speed = min(speed, self.pace.turn / abs(curvature))
+        return Command(speed, speed * curvature)
+
+
+def _nearest_ahead(points: Array, start: int, pose: Pose2) -> int:
+    """The route's point nearest to the robot, never going back and never leaping ahead."""
+    window = points[start : start + 20]
+    return start + int(np.argmin((window[:, 0] - pose.x) ** 2 + (window[:, 1] - pose.y) ** 2))
+
+
+def _ramp(last: float, wish: float, step: float) -> float:
+    return last + min(max(wish - last, -step), step)
+
+
+def _wander(wander: tuple[float, float], rng: np.random.Generator) -> tuple[float, float]:
+    """Unit-variance noise with a memory of WANDER_TIME."""
+    keep = math.exp(-TICK / WANDER_TIME)
+    fresh = math.sqrt(1.0 - keep * keep)
+    a, b = rng.standard_normal(2).tolist()
+    return keep * wander[0] + fresh * a, keep * wander[1] + fresh * b

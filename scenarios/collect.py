@@ -1,0 +1,173 @@
+"""`appli collect`: the default planner drives, the synthetic intervener watches, rewinds, and shows a better drive."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from learning.intervener import Demonstration, Intervener, Plea
+from learning.interventions import Intervention, Metadata, Step, save_intervention
+from learning.route import UnreachableError
+from scenarios.errors import UserError, blame
+from scenarios.run import compile_kernels
+from scenarios.trials import TrialSpec, make_driver, make_simulation
+from scenarios.worlds import load_world
+from twin.records import Command, Pose2, Tick
+from twin.rewind import Tape
+from twin.rollout import Loop
+from twin.world import World
+
+TAPE = 60.0  # [s] that can be wound back
+PATIENCE = 12  # interventions at one place before the session gives up
+
+
+@dataclass(frozen=True, slots=True)
+class Collected:
+    """One intervention of a session, and how it went."""
+
+    intervention: Intervention
+    place: str
+    min_clearance: float  # [m] during the demonstration
+    ticks: tuple[Tick, ...]  # the demonstration
+
+
+class Session:
+    """One drive with interventions."""
+
+    def __init__(self, spec: TrialSpec, world: World, say: Callable[[str], None] = lambda _: None) -> None:
+        """`say` hears what is going on, in words."""
+        self._spec, self._world, self._say = spec, world, say
+        self._tape = Tape(Loop(make_simulation(spec, world), make_driver(spec)), TAPE)
+        self._intervener = Intervener(world)
+        self._rng = np.random.default_rng([spec.seed, world.index, spec.run, 1])  # the human's hand
+        self._ticks: dict[int, Tick] = {}
+        self._counts = {"A": 0, "B": 0, "D": 0}
+        self._helped = 0
+
+    def run(self, keep: Callable[[Collected], None]) -> None:
+        """Drive to the end of the trial; `keep` gets every intervention as soon as it is complete."""
+        while True:
+            tick = self._step()
+            over = tick.outcome is not None
+            plea = self._intervener.watch(tick.index, tick.true_pose, over, tick.contact is not None)
+            if plea is None:
+                if over:
+                    return
+                continue
+            if self._intervener.is_new(plea):
+                collected, over = self._intervene(plea)
+                keep(collected)
+            else:
+                self._helped += 1
+                if self._helped > PATIENCE:
+                    self._say("the default gets nowhere even with help; stopped")
+                    return
+                self._say(f"helps again at {plea.place}: {plea.reason}")
+                _, over = self._intervene(plea, count=False)
+            if over:
+                return
+
+    def _step(self, command: Command | None = None) -> Tick:
+        tick = self._tape.step(command)
+        self._ticks[tick.index] = tick
+        return tick
+
+    def _intervene(self, plea: Plea, count: bool = True) -> tuple[Collected, bool]:
+        """Wind back, drive by hand, hand back. True when the trial ended meanwhile."""
+        start = max(plea.start, self._tape.oldest)
+        began = self._ticks[max(plea.began, start)].observation
+        self._tape.rewind(start)
+        loop, world = self._tape.loop, self._world
+        twist = self._ticks[start].observation.twist
+        pose = loop.simulation.true_pose
+        demonstration = Demonstration.begin(self._intervener, plea, start, pose, twist.v, twist.w)
+        ticks: list[Tick] = []
+        while not (ticks and demonstration.is_over(world, self._tape.position, loop.simulation.true_pose)):
+            command, demonstration = demonstration.drive(loop.simulation.true_pose, self._rng)
+            ticks.append(self._step(command))
+            if ticks[-1].outcome is not None:
+                break
+        self._counts[plea.kind] += count
+        label = f"{plea.kind}{self._counts[plea.kind]}"
+        metadata = Metadata(
+            world=self._spec.world,
+            seed=self._spec.seed,
+            source="synthetic",
+            trigger=plea.reason,
+            trouble_time=began.time,
+            trouble_pose=began.pose,
+            rewound=(plea.noticed - start) * 0.05,
+            versions={name: version(name) for name in ("appli-twin", "mujoco", "numpy")},
+        )
+        steps = [Step(t.observation, t.applied or Command(0.0, 0.0), labelled=True) for t in ticks]
+        clearance = min(t.clearance for t in ticks)
+        self._intervener.resume(plea, self._tape.position, loop.simulation.true_pose)
+        if count:
+            self._say(f"{label} at {_where(plea, pose)}: {plea.reason}")
+        collected = Collected(Intervention(plea.kind, label, steps, metadata), plea.place, clearance, tuple(ticks))
+        return collected, ticks[-1].outcome is not None
+
+
+def _where(plea: Plea, pose: Pose2) -> str:
+    return plea.place or f"({pose.x:.1f}, {pose.y:.1f})"
+
+
+def collect_command(world_name: str, out: Path, protocol: str, seed: int, record: bool) -> int:
+    """Run a session, write its interventions, print a table. Exit code 1 when there was nothing to intervene in."""
+    if seed < 0:
+        raise UserError(f"--seed must be 0 or more, not {seed}")
+    with blame():
+        world = load_world(world_name, protocol)
+    with blame(f"cannot use the folder {out}"):
+        out.mkdir(parents=True, exist_ok=True)
+    compile_kernels()
+    table = Table("file", "label", "place", "trouble", "rewound [s]", "steps", "closest [m]")
+    count = 0
+
+    def keep(collected: Collected) -> None:
+        nonlocal count
+        count += 1
+        made = collected.intervention
+        with blame(f"cannot write to {out}"):
+            path = save_intervention(made, out)
+            if record:
+                write_recording(path.with_suffix(".rrd"), world, collected)
+        table.add_row(
+            path.name,
+            made.label,
+            collected.place,
+            made.metadata.trigger,
+            f"{made.metadata.rewound:.1f}",
+            str(len(made.steps)),
+            f"{collected.min_clearance:.2f}",
+        )
+
+    spec = TrialSpec(world_name, protocol, seed=seed)
+    try:
+        Session(spec, world, lambda text: print(f"appli collect: {text}", file=sys.stderr, flush=True)).run(keep)
+    except UnreachableError as error:
+        raise UserError(f"{world.name}: {error}; a human could not show a way either") from error
+    if count == 0:
+        print(f"{world.name}: nothing to intervene in")
+        return 1
+    Console().print(table)
+    print(f"{count} interventions in {out}")
+    return 0
+
+
+def write_recording(path: Path, world: World, collected: Collected) -> None:
+    """The demonstration as a recording, planner and human commands side by side."""
+    from twin.recording import Recorder
+
+    made = collected.intervention
+    metadata = {"world": world.name, "driver": f"intervention {made.label}", "seed": made.metadata.seed}
+    with Recorder(path, world, metadata) as recorder:
+        for tick in collected.ticks:
+            recorder.add(tick)
