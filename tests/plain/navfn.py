@@ -11,7 +11,6 @@ import numba
 import numpy as np
 
 HIGH = np.float32(1e10)
-CAPACITY = 10000
 
 
 @numba.njit(cache=True)
@@ -34,14 +33,14 @@ def translate(costmap, allow_unknown):
 
 
 @numba.njit(cache=True)
-def propagate(cost_grid, source, goal):
+def propagate(cost_grid, source, goal, capacity=10000):
     """The potential (ny*nx,) f32 after the wave from the cell index `source` has reached `goal`."""
     ny, nx = cost_grid.shape
     ns = nx * ny
     cost = cost_grid.ravel()
     pot = np.full(ns, HIGH, dtype=np.float32)
     pending = np.zeros(ns, dtype=np.bool_)
-    buffers = np.empty((3, CAPACITY), dtype=np.int64)
+    buffers = np.empty((3, capacity), dtype=np.int64)
     cur, nxt, over = 0, 1, 2
     count = np.zeros(3, dtype=np.int64)
     pot[source] = 0.0
@@ -78,7 +77,7 @@ def propagate(cost_grid, source, goal):
             to = nxt if new < threshold else over
             for nb, old in ((n - 1, left), (n + 1, right), (n - nx, low), (n + nx, high)):
                 e = np.float32(0.707106781 * np.float64(np.float32(cost[nb])))
-                if old > new + e and not pending[nb] and cost[nb] < 254 and count[to] < CAPACITY:
+                if old > new + e and not pending[nb] and cost[nb] < 254 and count[to] < capacity:
                     pending[nb] = True
                     buffers[to, count[to]] = nb
                     count[to] += 1

@@ -45,7 +45,7 @@ def _solve(cells: Bytes, source: int, goal: int, allow_unknown: bool) -> tuple[b
         costs.enter,
         costs.margin,
         memory.potentials,
-        memory.closed,
+        memory.vacant,
         memory.queues,
         memory.dirty,
     ):
