@@ -245,10 +245,12 @@ class _Reader:
         """1-based line of a key in the k-th [[table]]; of the table's header when the key is not in it."""
         headers = [(n, m.group(1)) for n, line in enumerate(self._lines) if (m := _HEADER.match(line))]
         ends = [n for n, _ in headers[1:]] + [len(self._lines)]
-        begin, end = 0, headers[0][0] if headers else len(self._lines)
-        if table:
-            own = [(n, end) for (n, name), end in zip(headers, ends, strict=True) if name == table]
-            begin, end = own[k] if k < len(own) else (0, len(self._lines))
+        own = [i for i, (_, name) in enumerate(headers) if name == table]
+        if k < len(own):
+            begin, end = headers[own[k]][0], ends[own[k]]
+        else:  # the lines before the first header; an inline table is found by its own name
+            begin, end = 0, headers[0][0] if headers else len(self._lines)
+            key = table or key
         for number in range(begin, end):
             if re.match(rf"\s*[\"']?{re.escape(key)}[\"']?\s*[.=]", self._lines[number]):
                 return number + 1
