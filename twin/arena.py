@@ -60,7 +60,8 @@ STYLES: Final[dict[str, tuple[float, float, float]]] = {  # rgb by Obstacle.styl
     "furniture": (0.55, 0.36, 0.22),
     "mesh": (0.76, 0.75, 0.72),
 }
-SHADOW_RADIUS: Final = 5.0  # [m] round the robot: a shadow map of the whole world would be too coarse
+ROUND: Final = ("cylinder", "mesh")  # styles without marked edges
+SHADOW_RADIUS: Final = 10.0  # [m] round the robot: a shadow map of a large world would be too coarse
 
 
 def build_arena(world: World) -> mjcf.RootElement:
@@ -248,10 +249,11 @@ def _material(root: Any, style: str) -> Any:
     if found is not None:
         return found
     rgb = STYLES.get(style, STYLES["box"])
-    edge = tuple(0.72 * c for c in rgb)  # dark edges keep boxes of one colour apart
     texture = root.asset.add(
-        "texture", name=style, type="cube", builtin="flat", rgb1=rgb, mark="edge", markrgb=edge, width=96, height=96
+        "texture", name=style, type="cube", builtin="flat", rgb1=rgb, rgb2=rgb, width=96, height=96
     )
+    if style not in ROUND:  # dark edges keep boxes of one colour apart
+        texture.set_attributes(mark="edge", markrgb=tuple(0.72 * c for c in rgb))
     return root.asset.add("material", name=style, texture=texture, specular=0.15, shininess=0.2)
 
 
@@ -268,7 +270,7 @@ def _add_looks(root: Any, world: World) -> None:
     view = getattr(root.visual, "global")
     view.offwidth, view.offheight = 1920, 1080
     root.visual.headlight.set_attributes(
-        ambient=(0.38, 0.38, 0.40), diffuse=(0.30, 0.30, 0.30), specular=(0.1, 0.1, 0.1)
+        ambient=(0.33, 0.33, 0.35), diffuse=(0.26, 0.26, 0.26), specular=(0.1, 0.1, 0.1)
     )
     root.visual.rgba.haze = (0.93, 0.95, 0.97, 1)
     root.asset.add(

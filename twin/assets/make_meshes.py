@@ -1,9 +1,9 @@
 """Makes the Jackal's visual meshes and `jackal.xml`: `python -m twin.assets.make_meshes`.
 
-Everything is drawn here, from published dimensions (twin/robot/jackal.py; outer size 508 x 430 x 250 mm from Clearpath's
-data sheet) and from the look of the robot; no one else's mesh went in. The meshes are for the eye only: contact and
-lidar never meet them. One file per part and colour, binary STL, metres: `chassis_*` in base_link, `wheel_*` in the
-wheel's frame (axle along y, outer side +y), `ust10_*` and `lms1xx_*` in the lidar's (its focal point).
+Everything is drawn here, from published dimensions (twin/robot/jackal.py; outer size 508 x 430 x 250 mm from
+Clearpath's data sheet) and from the look of the robot; no one else's mesh went in. The meshes are for the eye only:
+contact and lidar never meet them. One file per part and colour, binary STL, metres: `chassis_*` in base_link, `wheel_*`
+in the wheel's frame (axle along y, outer side +y), `ust10_*` and `lms1xx_*` in the lidar's (its focal point).
 
 Parts are unions of convex pieces that simply overlap: no boolean operations, so the result is the same everywhere.
 """
@@ -12,13 +12,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import trimesh
 
 from twin.records import Array
-from twin.robot.jackal import LIDAR_MOUNTS, WHEEL_HEIGHT, WHEEL_RADIUS, WHEEL_WIDTH, WHEELBASE
+from twin.robot.jackal import (
+    LIDAR_MOUNTS,
+    RIDE_HEIGHT,
+    WHEEL_HEIGHT,
+    WHEEL_RADIUS,
+    WHEEL_WIDTH,
+    WHEELBASE,
+    build_jackal,
+)
 
 HERE = Path(__file__).parent
 Pieces = list[trimesh.Trimesh]
@@ -56,7 +65,7 @@ def tube(radius: float, low: float, high: float, sides: int = 32, bevel: float =
 
 def loft(sections: Sequence[Array]) -> Pieces:
     """A convex piece between each section (k, 3) and the next."""
-    return [hull(np.vstack(pair)) for pair in zip(sections, sections[1:], strict=False)]
+    return [hull(np.vstack(pair)) for pair in pairwise(sections)]
 
 
 def bent_plate(profile: Array, y0: float, y1: float, lift: float = 0.0, skin: float = SKIN) -> Pieces:
@@ -115,7 +124,8 @@ def chassis() -> dict[str, Pieces]:
         + [(0.975 * x, y, 0.006 + 0.94 * z) for x, z in outline for y in (-0.154, 0.154)]
     )
     axles = [moved(along_y(tube(0.030, -0.170, 0.170, 20, 0.002)), x, 0, WHEEL_HEIGHT) for x in _axles()]
-    slats = [block((-0.026, 0.152, z), (0.026, 0.157, z + 0.008), 0.001) for z in np.arange(0.060, 0.135, 0.016)]
+    panel = [block((-0.030, 0.150, 0.048), (0.030, 0.1565, 0.148), 0.002)]
+    slats = [block((-0.024, 0.154, z), (0.024, 0.1575, z + 0.006)) for z in np.arange(0.062, 0.135, 0.014)]
     skids = [block((-0.15, 0.05, -0.008), (0.15, 0.07, 0.004), 0.003)]
     plate = [block((-0.196, -0.138, 0.180), (0.196, 0.138, 0.1875), 0.003)]
     rails = [block((-0.180, y - 0.008, 0.186), (0.180, y + 0.008, 0.192), 0.0015) for y in (0.072, 0.112)]
@@ -125,13 +135,22 @@ def chassis() -> dict[str, Pieces]:
     bumper = [block((0.232, -0.150, 0.034), (0.257, 0.150, 0.064), 0.007)]
     tail = [block((-0.2595, -0.045, 0.086), (-0.252, 0.045, 0.126), 0.002)]  # the panel of sockets at the back
     gps = [moved(tube(0.026, 0.186, 0.203, 28, 0.004), -0.172, 0.0)]
-    lamp = turned(tube(0.0135, 0.0, 0.006, 24, 0.0015), math.pi / 2 - 0.22, (0, 1, 0))
+    lamp = turned(tube(0.0115, 0.0, 0.006, 24, 0.0015), math.pi / 2 - 0.22, (0, 1, 0))
     lamps = [moved(lamp, 0.2535, y, 0.115) for y in (-0.055, 0.055)]
+    bezel = turned(tube(0.0150, -0.001, 0.0035, 24, 0.001), math.pi / 2 - 0.22, (0, 1, 0))
+    bezels = [moved(bezel, 0.2535, y, 0.115) for y in (-0.055, 0.055)]
+    grille = [
+        moved(block((0, -0.034, -0.0025), (0.005, 0.034, 0.0025), 0.001), 0.2565, 0, z) for z in (0.083, 0.093, 0.103)
+    ]
+    grille += [
+        moved(block((0, -0.034, -0.0025), (0.005, 0.034, 0.0025), 0.001), x, 0, z)
+        for x, z in ((0.2545, 0.113), (0.2525, 0.123))
+    ]
     tails = [moved(turned(lamp, math.pi, (0, 0, 1)), -0.2535, y, 0.115) for y in (-0.065, 0.065)]
     return {
-        "chassis_black": [body, *mirrored(slats, 1), *mirrored(skids, 1), *mirrored([*face, *bumper], 0), *gps],
-        "chassis_grey": [*plate, *axles, *mirrored(rails, 1), *tail],
-        "chassis_dark": [*mirrored(grooves, 1), *mirrored(holes, 1)],
+        "chassis_black": [body, *mirrored(skids, 1), *mirrored([*face, *bumper], 0), *gps],
+        "chassis_grey": [*plate, *axles, *mirrored([*rails, *panel], 1), *tail, *bezels, *grille],
+        "chassis_dark": mirrored([*grooves, *holes, *slats], 1),
         "chassis_yellow": fenders(),
         "chassis_lamp": lamps,
         "chassis_tail": tails,
@@ -146,14 +165,14 @@ def _axles() -> tuple[float, float]:
 def fenders() -> Pieces:
     """The yellow shells: a bonnet at each end, and from it a mudguard sweeping over each wheel; base_link."""
     bonnet = bent_plate(NOSE, -0.150, 0.150)
-    centre = np.array([WHEELBASE / 2, WHEEL_HEIGHT])
+    roots = [*NOSE[:0:-1], (0.186, 0.183), (0.140, 0.179), (0.082, 0.168)]  # x, z at the body; the bonnet's line first
     sections = []
-    for degrees in (12, 28, 46, 64, 82, 100, 116):
+    for root, degrees in zip(roots, (12, 34, 54, 72, 88, 103, 118), strict=True):
         along = np.array([math.cos(math.radians(degrees)), math.sin(math.radians(degrees))])
-        rim = centre + (WHEEL_RADIUS + 0.016) * along  # outer edge, close over the tyre
-        root = centre + (WHEEL_RADIUS + 0.034) * along  # inner edge, higher: the guard slopes outwards
-        root[1] = min(root[1], 0.178)
-        corners = [(*rim, 0.214), (*(rim - 0.012 * along), 0.215), (*root, 0.148), (*(root - SKIN * along), 0.148)]
+        rim = np.array([WHEELBASE / 2, WHEEL_HEIGHT]) + (WHEEL_RADIUS + 0.018) * along  # close over the tyre
+        hem = rim - 0.012 * along  # the guard's outer edge is turned down
+        inside = np.array(root) - SKIN * along
+        corners = [(*root, 0.149), (*inside, 0.149), (*rim, 0.212), (*(rim - SKIN * along), 0.206), (*hem, 0.215)]
         sections.append(np.array([(x, y, z) for x, z, y in corners]))
     return mirrored([*bonnet, *mirrored(loft(sections), 1)], 0)
 
@@ -253,7 +272,7 @@ def lms1xx() -> dict[str, Pieces]:
     }
 
 
-def make(folder: Path = HERE) -> list[Path]:
+def make_meshes(folder: Path = HERE) -> list[Path]:
     """Write every mesh; returns the files."""
     files = []
     for name, pieces in {**chassis(), **wheel(), **ust10(), **lms1xx()}.items():
@@ -265,6 +284,17 @@ def make(folder: Path = HERE) -> list[Path]:
     return files
 
 
+def jackal_xml() -> str:
+    """The robot with its free joint, standing on z = 0, as MJCF that loads from this folder."""
+    root = build_jackal()
+    chassis = root.find("body", "chassis")
+    chassis.pos = (0, 0, RIDE_HEIGHT)
+    chassis.add("freejoint", name="base")
+    note = "<!-- Written by `python -m twin.assets.make_meshes` from twin/robot/jackal.py; edit that. -->\n"
+    return note + str(root.to_xml_string(precision=9, filename_with_hash=False))
+
+
 if __name__ == "__main__":
-    for file in make():
+    for file in make_meshes():
         print(f"{file.name:24s} {file.stat().st_size / 1024:6.1f} kB")
+    (HERE / "jackal.xml").write_text(jackal_xml(), encoding="utf-8")

@@ -75,13 +75,13 @@ LIDAR_MOUNTS: Final = {
 
 ASSETS: Final = Path(__file__).parents[1] / "assets"  # meshes by twin/assets/make_meshes.py, for the eye only
 COLOURS: Final[dict[str, dict[str, Any]]] = {  # material by the last word of a mesh's name
-    "black": {"rgba": (0.085, 0.085, 0.095, 1), "specular": 0.35, "shininess": 0.45},
+    "black": {"rgba": (0.105, 0.105, 0.115, 1), "specular": 0.35, "shininess": 0.45},
     "grey": {"rgba": (0.23, 0.235, 0.25, 1), "specular": 0.5, "shininess": 0.5},
     "dark": {"rgba": (0.03, 0.03, 0.035, 1), "specular": 0.1, "shininess": 0.1},
     "yellow": {"rgba": (0.98, 0.73, 0.05, 1), "specular": 0.4, "shininess": 0.6},
     "tyre": {"rgba": (0.06, 0.06, 0.062, 1), "specular": 0.08, "shininess": 0.1},
-    "rim": {"rgba": (0.30, 0.31, 0.33, 1), "specular": 0.6, "shininess": 0.6},
-    "lamp": {"rgba": (0.96, 0.97, 1.0, 1), "emission": 0.6},
+    "rim": {"rgba": (0.36, 0.37, 0.39, 1), "specular": 0.6, "shininess": 0.6},
+    "lamp": {"rgba": (0.96, 0.97, 1.0, 1), "emission": 0.45},
     "tail": {"rgba": (0.85, 0.08, 0.07, 1), "emission": 0.4},
     "window": {"rgba": (0.02, 0.02, 0.03, 1), "specular": 1.0, "shininess": 0.9},
     "accent": {"rgba": (0.95, 0.45, 0.08, 1), "specular": 0.4, "shininess": 0.5},
@@ -124,9 +124,9 @@ def build_jackal(lidar_mount: str = "ust10") -> mjcf.RootElement:
         name="sun",
         type="directional",
         mode="track",
-        pos=(-1.6, -1.3, 5),
-        dir=(0.32, 0.26, -1),
-        diffuse=(0.62, 0.60, 0.55),
+        pos=(0.9, 1.2, 3),
+        dir=(-0.30, -0.40, -1),
+        diffuse=(0.72, 0.70, 0.64),
         specular=(0.25, 0.25, 0.25),
     )
     for name, centre in zip(WHEELS, WHEEL_CENTRES, strict=True):
@@ -176,4 +176,13 @@ def _dress(root: Any, body: Any, part: str, **place: Any) -> None:
             continue
         material = root.find("material", colour) or root.asset.add("material", name=colour, **look)
         mesh = root.find("mesh", path.stem) or root.asset.add("mesh", name=path.stem, file=str(path), inertia="shell")
-        body.add("geom", type="mesh", mesh=mesh, material=material, group=VISUAL_GROUP, **NO_CONTACT, **place)
+        body.add(
+            "geom",
+            name=f"{body.name}_{colour}",
+            type="mesh",
+            mesh=mesh,
+            material=material,
+            group=VISUAL_GROUP,
+            **NO_CONTACT,
+            **place,
+        )
