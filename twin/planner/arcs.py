@@ -68,9 +68,9 @@ def velocity_window(limits: Limits, goal_distance: float, v: float, w: float) ->
 
 
 @compiled
-def step_count(limits: Limits, v: float, vy: float, w: float) -> int:
+def step_count(limits: Limits, v: float, w: float) -> int:
     """How many points an arc has. The angular term knows no sim_time (as in ROS)."""
-    steps = max(math.hypot(v, vy) * limits.sim_time / limits.sim_granularity, abs(w) / limits.angular_sim_granularity)
+    steps = max(abs(v) * limits.sim_time / limits.sim_granularity, abs(w) / limits.angular_sim_granularity)
     return max(1, int(steps + 0.5))
 
 
@@ -82,36 +82,67 @@ def ramp(current: float, target: float, change: float) -> float:
     return max(target, current - change)
 
 
+class Motion(NamedTuple):
+    """A pose in the map's frame [m, rad] and a velocity in base_link [m/s, rad/s]."""
+
+    x: float
+    y: float
+    yaw: float
+    v: float
+    vy: float
+    w: float
+
+
 @compiled
-def score_arc(
-    costs: Costs,
-    limits: Limits,
-    x: float,
-    y: float,
-    yaw: float,
-    v: float,
-    vy: float,
-    w: float,
-    target_v: float,
-    target_w: float,
-    points: Array,
-) -> Score:
-    """Drive one arc from a pose and velocity towards (target_v, 0, target_w) for sim_time, and score it.
+def advance(limits: Limits, dt: float, at: Motion, target_v: float, target_w: float) -> Motion:
+    """One Euler step towards (target_v, 0, target_w): the new velocity along the old heading."""
+    v = ramp(at.v, target_v, limits.acc_x * dt)
+    vy = ramp(at.vy, 0.0, limits.acc_y * dt)
+    w = ramp(at.w, target_w, limits.acc_theta * dt)
+    side_x, side_y = 0.0, 0.0
+    if vy != 0.0:
+        side_x, side_y = vy * math.cos(math.pi / 2 + at.yaw), vy * math.sin(math.pi / 2 + at.yaw)
+    return Motion(
+        at.x + (v * math.cos(at.yaw) + side_x) * dt,
+        at.y + (v * math.sin(at.yaw) + side_y) * dt,
+        at.yaw + w * dt,
+        v,
+        vy,
+        w,
+    )
+
+
+@compiled
+def drive(limits: Limits, start: Motion, target_v: float, target_w: float, points: Array) -> int:
+    """The points of a whole arc, legal or not, into `points` (>= step_count, 3); returns how many."""
+    steps = step_count(limits, target_v, target_w)
+    dt = limits.sim_time / steps
+    at = start
+    for k in range(steps):
+        points[k, 0], points[k, 1], points[k, 2] = at.x, at.y, at.yaw
+        at = advance(limits, dt, at, target_v, target_w)
+    return steps
+
+
+@compiled
+def score_arc(costs: Costs, limits: Limits, start: Motion, target_v: float, target_w: float, points: Array) -> Score:
+    """Drive one arc towards (target_v, 0, target_w) for sim_time, and score it.
 
     Writes the scored points into `points` (>= step_count, 3). The position after the last step is never scored. Only
     the last point decides path and goal, the highest byte met decides the obstacle part.
     """
-    steps = step_count(limits, target_v, 0.0, target_w)
+    steps = step_count(limits, target_v, target_w)
     dt = limits.sim_time / steps
     size_y, size_x = costs.cells.shape
     blocked = size_x * size_y
     path, goal, obstacle = 0.0, 0.0, 0.0
+    at = start
     for k in range(steps):
-        mx, my = world_to_cell(x, y, costs.origin_x, costs.origin_y, costs.resolution, size_x, size_y)
+        mx, my = world_to_cell(at.x, at.y, costs.origin_x, costs.origin_y, costs.resolution, size_x, size_y)
         if mx < 0:
             return Score(-1.0, k, path, goal, obstacle, OFF_MAP)
         outline = footprint_cost(
-            costs.cells, costs.origin_x, costs.origin_y, costs.resolution, x, y, yaw, costs.footprint
+            costs.cells, costs.origin_x, costs.origin_y, costs.resolution, at.x, at.y, at.yaw, costs.footprint
         )
         if outline < 0:
             return Score(-1.0, k, path, goal, obstacle, OFF_MAP if outline == FOOTPRINT_OFF_MAP else COLLISION)
@@ -119,17 +150,15 @@ def score_arc(
         path, goal = float(costs.path[my, mx]), float(costs.goal[my, mx])
         if goal >= blocked or path >= blocked:
             return Score(-2.0, k, path, goal, obstacle, NO_PATH)
-        points[k, 0], points[k, 1], points[k, 2] = x, y, yaw
-        v = ramp(v, target_v, limits.acc_x * dt)
-        vy = ramp(vy, 0.0, limits.acc_y * dt)
-        w = ramp(w, target_w, limits.acc_theta * dt)
-        x, y = (
-            x + (v * math.cos(yaw) + vy * math.cos(math.pi / 2 + yaw)) * dt,
-            y + (v * math.sin(yaw) + vy * math.sin(math.pi / 2 + yaw)) * dt,
-        )
-        yaw += w * dt
-    cost = limits.path_bias * path + goal * limits.goal_bias + limits.occdist_scale * obstacle
-    return Score(cost, steps, path, goal, obstacle, LEGAL)
+        points[k, 0], points[k, 1], points[k, 2] = at.x, at.y, at.yaw
+        at = advance(limits, dt, at, target_v, target_w)
+    return Score(total_cost(limits, path, goal, obstacle), steps, path, goal, obstacle, LEGAL)
+
+
+@compiled
+def total_cost(limits: Limits, path: float, goal: float, obstacle: float) -> float:
+    """The cost of a legal arc, added in ROS's order. It never falls when one of the three parts rises."""
+    return limits.path_bias * path + goal * limits.goal_bias + limits.occdist_scale * obstacle
 
 
 @compiled
@@ -152,7 +181,7 @@ def longest_arc(limits: Limits, window: Window) -> int:
         v = max(v, abs(window.v_min + window.v_step * limits.vx_samples))
     if limits.vtheta_samples > 1:
         w = max(w, abs(window.w_min + window.w_step * limits.vtheta_samples))
-    return step_count(limits, v, 0.0, w) + 1
+    return step_count(limits, v, w) + 1
 
 
 @compiled
@@ -166,12 +195,7 @@ def search_all(
     costs: Costs,
     limits: Limits,
     window: Window,
-    x: float,
-    y: float,
-    yaw: float,
-    v: float,
-    vy: float,
-    w: float,
+    start: Motion,
     escaping: bool,
     stuck_left: bool,
     stuck_right: bool,
@@ -191,7 +215,7 @@ def search_all(
         w_sample = 0.0
         next_w = window.w_min
         for _ in range(limits.vtheta_samples):  # straight on, then all rates but the highest
-            s = score_arc(costs, limits, x, y, yaw, v, vy, w, v_sample, w_sample, points)
+            s = score_arc(costs, limits, start, v_sample, w_sample, points)
             _record(table, rows, v_sample, w_sample, s)
             if s.cost >= 0.0 and (s.cost < best_cost or best_cost < 0.0):
                 best, best_cost = rows, s.cost
@@ -204,7 +228,7 @@ def search_all(
     best_ahead = np.inf
     for _ in range(limits.vtheta_samples):
         rate = in_place_rate(limits, sample)
-        s = score_arc(costs, limits, x, y, yaw, v, vy, w, 0.0, rate, points)
+        s = score_arc(costs, limits, start, 0.0, rate, points)
         _record(table, rows, 0.0, rate, s)
         turning = sample > window.w_step or sample < -1.0 * window.w_step  # not limited: rules out the slowest samples
         if s.cost >= 0.0 and (s.cost <= best_cost or best_cost < 0.0) and turning:
@@ -218,7 +242,7 @@ def search_all(
 
     is_backup = best < 0
     if is_backup:
-        s = score_arc(costs, limits, x, y, yaw, v, vy, w, limits.escape_vel, 0.0, points)
+        s = score_arc(costs, limits, start, limits.escape_vel, 0.0, points)
         _record(table, rows, limits.escape_vel, 0.0, s)
         best = rows
         rows += 1

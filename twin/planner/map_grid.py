@@ -134,6 +134,34 @@ def open_robot(
 
 
 @compiled
+def start_waves(
+    path: Wave,
+    goal: Wave,
+    cells: Bytes,
+    origin_x: float,
+    origin_y: float,
+    resolution: float,
+    x: float,
+    y: float,
+    yaw: float,
+    footprint: Array,
+    raster: Cells,
+    plan: Array,
+) -> int:
+    """Both waves with their seeds, not spread yet; returns the local goal's flat cell index or -1."""
+    size_y, size_x = cells.shape
+    clear(path, cells)
+    goal.value[:] = path.value
+    goal.ends[:] = 0
+    open_robot(path, size_x, size_y, origin_x, origin_y, resolution, x, y, yaw, footprint, raster)
+    goal_x, goal_y = seed_plan(path, cells, origin_x, origin_y, resolution, plan)
+    if goal_x < 0:
+        return -1
+    seed(goal, (goal_y + 1) * goal.width + goal_x + 1)
+    return goal_y * size_x + goal_x
+
+
+@compiled
 def _fill_grids(
     cells: Bytes,
     origin_x: float,

@@ -7,13 +7,17 @@ One call builds both map grids, samples arcs inside the velocity window and take
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from twin.geometry import normalize_angle
+from twin.planner.arc_check import Ground
+from twin.planner.arc_search import Scratch, search
 from twin.planner.arcs import (
     TABLE_COLUMNS,
     Costs,
+    Motion,
     Score,
     Window,
     longest_arc,
@@ -23,9 +27,11 @@ from twin.planner.arcs import (
     velocity_window,
 )
 from twin.planner.footprint import FOOTPRINT
+from twin.planner.heap import empty_heap
 from twin.planner.inflation import Costmap
-from twin.planner.map_grid import MapGrids, map_grids, read_only
+from twin.planner.map_grid import MapGrids, goal_centre, map_grids, plan_points, raster_scratch, read_only, start_waves
 from twin.planner.params import PlannerParams
+from twin.planner.sketch import FARTHEST
 from twin.planner.trajectory_state import (
     BestPath,
     Candidates,
@@ -36,6 +42,7 @@ from twin.planner.trajectory_state import (
     from_ros_values,
     limits_of,
 )
+from twin.planner.wave import empty_wave
 from twin.records import Array, Command, Pose2, Twist2, frozen_array
 
 __all__ = [
@@ -66,10 +73,16 @@ def find_best_path(
     Pose and velocity are rounded to f32 as ROS does; angles and rates beyond +-pi are wrapped before, as on their way
     through quaternions. `lateral_velocity` [m/s] is the velocity's y component, 0 on the Jackal.
     """
-    at, v, vy, w = _rounded(pose), _f32(velocity.v), _f32(lateral_velocity), _f32(_wrapped(velocity.w))
+    at = _rounded(pose)
+    start = Motion(at.x, at.y, at.yaw, _f32(velocity.v), _f32(lateral_velocity), _f32(_wrapped(velocity.w)))
     limits = limits_of(theta, settings)
-    window = velocity_window(limits, _distance_to_end(plan, at), v, w)
-    best, is_backup = _explained(costmap, at, (v, vy, w), plan, limits, window, flags)
+    window = velocity_window(limits, _distance_to_end(plan, at), start.v, start.w)
+    if explain or start.vy != 0.0 or not _can_search(costmap, at):
+        best, is_backup = _explained(costmap, start, plan, limits, window, flags)
+        if not explain:
+            best = replace(best, candidates=None)
+    else:
+        best, is_backup = _searched(costmap, start, plan, limits, window, flags)
     if is_backup:
         return best, flags.after_escape(at.x, at.y, at.yaw, best.cost, settings)
     return best, flags.after_choice(at.x, at.y, at.yaw, best.v, best.w, settings)
@@ -90,10 +103,9 @@ def is_legal(
     """
     limits = limits_of(theta, settings)
     costs = _costs(costmap, map_grids(costmap, _rounded(pose), plan))
-    points = np.empty((step_count(limits, command.v, 0.0, command.w), 3))
-    score: Score = score_arc(
-        costs, limits, pose.x, pose.y, pose.yaw, velocity.v, 0.0, velocity.w, command.v, command.w, points
-    )
+    points = np.empty((step_count(limits, command.v, command.w), 3))
+    start = Motion(pose.x, pose.y, pose.yaw, velocity.v, 0.0, velocity.w)
+    score: Score = score_arc(costs, limits, start, command.v, command.w, points)
     return score.cost >= 0.0
 
 
@@ -122,29 +134,83 @@ def _costs(costmap: Costmap, grids: MapGrids) -> Costs:
 
 
 def _explained(
-    costmap: Costmap,
-    pose: Pose2,
-    velocity: tuple[float, float, float],
-    plan: Array,
-    limits: Limits,
-    window: Window,
-    flags: PlannerFlags,
+    costmap: Costmap, start: Motion, plan: Array, limits: Limits, window: Window, flags: PlannerFlags
 ) -> tuple[BestPath, bool]:
     """The plain way: complete grids, all candidates. Also says whether the best is the backup."""
-    grids = map_grids(costmap, pose, plan)
+    grids = map_grids(costmap, Pose2(start.x, start.y, start.yaw), plan)
     costs = _costs(costmap, grids)
     points = np.empty((longest_arc(limits, window), 3))
     table = np.empty((limits.vtheta_samples * (limits.vx_samples + 1) + 1, TABLE_COLUMNS))
     rows, chosen, is_backup = search_all(
-        costs, limits, window, pose.x, pose.y, pose.yaw, *velocity,
-        flags.escaping, flags.stuck_left, flags.stuck_right, table, points,
-    )  # fmt: skip
+        costs, limits, window, start, flags.escaping, flags.stuck_left, flags.stuck_right, table, points
+    )
     v, w = float(table[chosen, 0]), float(table[chosen, 1])
-    score = score_arc(costs, limits, pose.x, pose.y, pose.yaw, *velocity, v, w, points)
+    score = score_arc(costs, limits, start, v, w, points)
     best = BestPath(
         v, 0.0, w, _backed_up(score.cost, is_backup), frozen_array(points[: score.points].copy()),
         score.path, score.goal, score.obstacle, grids.local_goal, Candidates(frozen_array(table[:rows].copy())),
     )  # fmt: skip
+    return best, is_backup
+
+
+def _can_search(costmap: Costmap, pose: Pose2) -> bool:
+    """Whether f64 resolves positions as finely as the search needs."""
+    return max(abs(pose.x), abs(pose.y), abs(costmap.origin[0]), abs(costmap.origin[1])) < FARTHEST
+
+
+def _searched(
+    costmap: Costmap, start: Motion, plan: Array, limits: Limits, window: Window, flags: PlannerFlags
+) -> tuple[BestPath, bool]:
+    """The same answer without scoring every candidate."""
+    size_y, size_x = costmap.cells.shape
+    arcs = limits.vx_samples * limits.vtheta_samples
+    points = longest_arc(limits, window)
+    ground = Ground(
+        read_only(costmap.cells),
+        *costmap.origin,
+        costmap.resolution,
+        FOOTPRINT,
+        empty_wave(size_y, size_x),
+        empty_wave(size_y, size_x),
+    )
+    scratch = Scratch(
+        np.empty(arcs, dtype=np.int32),
+        np.empty(arcs, dtype=np.int32),
+        np.full((size_y + 2) * (size_x + 2), -1, dtype=np.int32),
+        empty_heap(arcs),
+        np.empty(limits.vx_samples),
+        np.empty(limits.vtheta_samples),
+        np.empty(points, dtype=np.int32),
+        np.empty((points, 3)),
+    )
+    local_goal = start_waves(
+        ground.path,
+        ground.goal,
+        ground.cells,
+        ground.origin_x,
+        ground.origin_y,
+        ground.resolution,
+        start.x,
+        start.y,
+        start.yaw,
+        FOOTPRINT,
+        raster_scratch(ground.resolution),
+        plan_points(plan),
+    )
+    v, w, score, is_backup = search(
+        ground, limits, window, start, flags.escaping, flags.stuck_left, flags.stuck_right, scratch
+    )
+    best = BestPath(
+        v,
+        0.0,
+        w,
+        _backed_up(score.cost, is_backup),
+        frozen_array(scratch.points[: score.points].copy()),
+        score.path,
+        score.goal,
+        score.obstacle,
+        goal_centre(costmap, local_goal),
+    )
     return best, is_backup
 
 

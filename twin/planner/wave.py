@@ -62,7 +62,7 @@ def seed(wave: Wave, index: int) -> None:
 
 
 @compiled
-def _spread(value: Cells, queue: Cells, tail: int, index: int, width: int) -> int:
+def spread_from(value: Cells, queue: Cells, tail: int, index: int, width: int) -> int:
     """Meet the four neighbours of a cell, in ROS's order; returns the new tail. Without branches: they mispredict."""
     steps = value[index] + np.int32(1)
     for step in (-1, 1, -width, width):
@@ -81,7 +81,7 @@ def reach(wave: Wave, index: int) -> int:
     value, queue = wave.value, wave.queue
     head, tail = wave.ends[HEAD], wave.ends[TAIL]
     while value[index] == UNMET and head < tail:
-        tail = _spread(value, queue, tail, queue[head], wave.width)
+        tail = spread_from(value, queue, tail, queue[head], wave.width)
         head += 1
     wave.ends[HEAD], wave.ends[TAIL] = head, tail
     return value[index]
@@ -92,15 +92,24 @@ def finish(wave: Wave) -> None:
     """Let the wave meet all it can."""
     head, tail = wave.ends[HEAD], wave.ends[TAIL]
     while head < tail:
-        tail = _spread(wave.value, wave.queue, tail, wave.queue[head], wave.width)
+        tail = spread_from(wave.value, wave.queue, tail, wave.queue[head], wave.width)
         head += 1
     wave.ends[HEAD], wave.ends[TAIL] = head, tail
 
 
 @compiled
 def front(wave: Wave) -> int:
-    """Steps of the cell that spreads next: no cell still UNMET can have fewer than one more. -1: the wave is over."""
+    """Steps of the cell that spreads next; -1 when the wave is over."""
     return wave.value[wave.queue[wave.ends[HEAD]]] if wave.ends[HEAD] < wave.ends[TAIL] else -1
+
+
+@compiled
+def at_least(wave: Wave, index: int) -> int:
+    """The cell's steps or, before the wave is there, a lower bound of them; negative if it will never be."""
+    steps = wave.value[index]
+    if steps == UNMET and wave.ends[HEAD] < wave.ends[TAIL]:
+        return front(wave) + 1
+    return steps
 
 
 @compiled
