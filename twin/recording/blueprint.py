@@ -1,4 +1,4 @@
-"""How a recording opens: top view, 3-D view, lanes, plots and text, placed so that nothing needs to be touched."""
+"""How a recording opens: everything in sight at once, and the names and colours of what is plotted."""
 
 from __future__ import annotations
 
@@ -16,66 +16,56 @@ from twin.world import World
 
 TIMELINE = "sim_time"
 FIELD_OF_VIEW = math.radians(55.0)  # vertical, of Rerun's 3-D camera
-TOP_ASPECT = 1.7  # width over height of the top view in a 16:9 window
+TOP_ASPECT = 1.8  # width over height of the top view in a 16:9 window, a little less to be safe
+CHASE = (-1.5, 0.0, 1.15)  # [m] the robot view's camera from the robot, ahead being the way it faces at the start
 
 PLOTS: dict[str, dict[str, tuple[str, RGB, float]]] = {  # plot: entity: (name, colour, line width)
     "speed [m/s]": {
-        "command/planner/v": ("command v", palette.COMMANDED, 1.0),
-        "odometry/v": ("measured v", palette.MEASURED, 1.5),
+        "odometry/v": ("measured", palette.MEASURED, 1.6),
+        "command/planner/v": ("command", palette.COMMANDED, 1.0),
     },
     "turn rate [rad/s]": {
-        "command/planner/w": ("command w", palette.COMMANDED, 1.0),
-        "odometry/w": ("measured w", palette.MEASURED, 1.5),
+        "odometry/w": ("measured", palette.MEASURED, 1.6),
+        "command/planner/w": ("command", palette.COMMANDED, 1.0),
     },
-    "clearance [m]": {"clearance": ("clearance", palette.CLEARANCE, 1.5)},
-    "speed limits": {
-        "params/max_vel_x": ("max_vel_x", palette.PARAMETERS[0], 1.5),
-        "params/max_vel_theta": ("max_vel_theta", palette.PARAMETERS[1], 1.5),
-    },
-    "samples": {
-        "params/vx_samples": ("vx_samples", palette.PARAMETERS[2], 1.5),
-        "params/vtheta_samples": ("vtheta_samples", palette.PARAMETERS[3], 1.5),
-    },
-    "scales, inflation [m]": {
-        "params/occdist_scale": ("occdist_scale", palette.PARAMETERS[4], 1.5),
-        "params/pdist_scale": ("pdist_scale", palette.PARAMETERS[5], 1.5),
-        "params/gdist_scale": ("gdist_scale", palette.PARAMETERS[6], 1.5),
-        "params/inflation_radius": ("inflation_radius", palette.PARAMETERS[7], 1.5),
-    },
-    "confidence": {"appli/confidence": ("confidence", palette.CONFIDENCE, 1.5)},
-    "costs of the chosen arc": {
+    "clearance [m]": {"clearance": ("to obstacles", palette.CLEARANCE, 1.6)},
+    "confidence": {"appli/confidence": ("confidence", palette.CONFIDENCE, 1.6)},
+    "chosen arc": {
         "arc/path_cells": ("path [cells]", palette.GLOBAL_PATH, 1.0),
         "arc/goal_cells": ("goal [cells]", palette.GOAL, 1.0),
         "arc/obstacle": ("obstacle [0..253]", palette.CONTACT, 1.0),
     },
+    "parameters": {
+        "params/max_vel_x": ("max_vel_x", palette.PARAMETERS[0], 1.6),
+        "params/max_vel_theta": ("max_vel_theta", palette.PARAMETERS[1], 1.6),
+        "params/occdist_scale": ("occdist_scale", palette.PARAMETERS[4], 1.6),
+        "params/pdist_scale": ("pdist_scale", palette.PARAMETERS[5], 1.6),
+        "params/gdist_scale": ("gdist_scale", palette.PARAMETERS[6], 1.6),
+        "params/inflation_radius": ("inflation_radius", palette.PARAMETERS[7], 1.6),
+    },
+    "samples": {
+        "params/vx_samples": ("vx_samples", palette.PARAMETERS[2], 1.6),
+        "params/vtheta_samples": ("vtheta_samples", palette.PARAMETERS[3], 1.6),
+    },
 }
 
 
-def layout(world: World) -> rrb.Blueprint:
-    """The blueprint of a recording in `world`."""
-    left = rrb.Vertical(_top_view(world), _lanes(), row_shares=[5.2, 1.0])
-    parameters = rrb.Tabs(_plot("scales, inflation [m]"), _plot("speed limits"), _plot("samples"), name="parameters")
-    middle = rrb.Tabs(_plot("clearance [m]"), _plot("costs of the chosen arc"), _plot("confidence"))
-    text = rrb.Horizontal(
-        rrb.TextDocumentView(origin="run", name="run"),
-        rrb.TextLogView(
-            origin="events",
-            name="events",
-            columns=rrb.TextLogColumns(timeline_columns=[TIMELINE], text_log_columns=["body"]),
-        ),
+def layout(world: World, learned: bool) -> rrb.Blueprint:
+    """The blueprint of a recording in `world`; `learned`: a context classifier drives, so there is a confidence."""
+    scenes = rrb.Horizontal(
+        _top_view(world),
+        rrb.Vertical(_robot_view(world), rrb.TextDocumentView(origin="run", name="run"), row_shares=[1.6, 1.0]),
+        column_shares=[2.0, 1.0],
     )
-    right = rrb.Vertical(
-        _robot_view(world),
-        _plot("speed [m/s]"),
-        _plot("turn rate [rad/s]"),
-        middle,
-        parameters,
-        text,
-        row_shares=[3.0, 1.0, 1.0, 1.0, 1.0, 1.6],
+    charts = rrb.Horizontal(
+        rrb.Vertical(_lanes(), _events()),
+        rrb.Vertical(_plot("speed [m/s]"), _plot("turn rate [rad/s]")),
+        rrb.Vertical(_plot("clearance [m]"), _plot("confidence" if learned else "chosen arc")),
+        rrb.Vertical(_plot("parameters"), _plot("samples"), row_shares=[1.5, 1.0]),
     )
     return rrb.Blueprint(
-        rrb.Horizontal(left, right, column_shares=[1.7, 1.0]),
-        rrb.TimePanel(timeline=TIMELINE, state="collapsed", play_state="following"),
+        rrb.Vertical(scenes, charts, row_shares=[1.5, 1.0]),
+        rrb.TimePanel(timeline=TIMELINE, state="collapsed", play_state="paused"),
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
         auto_layout=False,
@@ -94,20 +84,18 @@ def style_plots(stream: Any) -> None:
 
 
 def _style_lane(stream: Any, entity: str, colours: dict[str, RGB]) -> None:
-    style = rr.StateConfiguration.columns(
-        values=list(colours), colors=np.array(list(colours.values()), np.uint8)
-    ).partition([len(colours)])
+    values, shades = list(colours), np.array(list(colours.values()), np.uint8)
+    style = rr.StateConfiguration.columns(values=values, colors=shades).partition([len(values)])
     stream.send_columns(entity, [], style)
 
 
 def _top_view(world: World) -> rrb.Spatial3DView:
     """Straight down on the whole world, its long side across the screen."""
     x0, y0, x1, y1 = bounds(world)
-    width, height = x1 - x0, y1 - y0
-    upright = width >= height
-    across, along = (width, height) if upright else (height, width)
+    lying = x1 - x0 >= y1 - y0
+    across, along = (x1 - x0, y1 - y0) if lying else (y1 - y0, x1 - x0)
     distance = max(along, across / TOP_ASPECT) / 2.0 / math.tan(FIELD_OF_VIEW / 2.0)
-    centre = ((x0 + x1) / 2.0, (y0 + y1) / 2.0)
+    x, y = (x0 + x1) / 2.0, (y0 + y1) / 2.0
     return rrb.Spatial3DView(
         origin="world",
         contents=["+ $origin/**", "- $origin/obstacles/**"],
@@ -116,18 +104,18 @@ def _top_view(world: World) -> rrb.Spatial3DView:
         line_grid=False,
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital,
-            position=(*centre, distance),
-            look_target=(*centre, 0.0),
-            eye_up=(0.0, 1.0, 0.0) if upright else (-1.0, 0.0, 0.0),
+            position=(x, y, distance),
+            look_target=(x, y, 0.0),
+            eye_up=(0.0, 1.0, 0.0) if lying else (-1.0, 0.0, 0.0),
         ),
-        overrides={"world/trail": _whole_past()},
+        overrides=_overrides(),
     )
 
 
 def _robot_view(world: World) -> rrb.Spatial3DView:
-    """Behind and above the robot, following it."""
-    start = world.start
-    back = np.array([math.cos(start.yaw), math.sin(start.yaw)]) * 2.2
+    """The robot and what stands round it, from behind and above, following it."""
+    c, s = math.cos(world.start.yaw), math.sin(world.start.yaw)
+    x, y, z = CHASE
     return rrb.Spatial3DView(
         origin="world",
         contents=["+ $origin/**", "- $origin/plan/**", "- $origin/local_costmap", "- $origin/segments/**"],
@@ -136,24 +124,37 @@ def _robot_view(world: World) -> rrb.Spatial3DView:
         line_grid=False,
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital,
-            position=(start.x - back[0], start.y - back[1], 1.6),
-            look_target=(start.x, start.y, 0.1),
-            tracking_entity="world/robot",
+            position=(world.start.x + c * x - s * y, world.start.y + s * x + c * y, z),
+            look_target=(world.start.x, world.start.y, 0.1),
+            tracking_entity="/world/robot",
         ),
-        overrides={"world/trail": _whole_past()},
+        overrides=_overrides(),
     )
 
 
-def _whole_past() -> rrb.VisibleTimeRanges:
-    """Everything up to the time cursor, for an entity that logs one piece per tick."""
-    return rrb.VisibleTimeRanges(
+def _overrides() -> dict[str, Any]:
+    """The trail shows all that was driven up to the time cursor; the ground does not catch the pointer."""
+    past = rrb.VisibleTimeRanges(
         timeline=TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
     )
+    ground = ("world/floor", "world/floor/grid", "world/local_costmap")
+    return {"world/trail": past} | {entity: rrb.EntityBehavior(interactive=False) for entity in ground}
 
 
 def _lanes() -> rrb.StateTimelineView:
     return rrb.StateTimelineView(origin="/", contents=["planner/state", "appli/context"], name="states")
 
 
+def _events() -> rrb.TextLogView:
+    columns = rrb.TextLogColumns(timeline_columns=[TIMELINE], text_log_columns=["body"])
+    return rrb.TextLogView(origin="events", name="events", columns=columns)
+
+
 def _plot(name: str) -> rrb.TimeSeriesView:
-    return rrb.TimeSeriesView(origin="/", contents=list(PLOTS[name]), name=name)
+    return rrb.TimeSeriesView(
+        origin="/",
+        contents=list(PLOTS[name]),
+        name=name,
+        axis_x=rrb.TimeAxis(link="LinkToGlobal"),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
+    )

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from twin.recording import drawing
-from twin.recording.palette import CONTACT, context_colour
+from twin.recording import drawing, palette
 from twin.records import Array, Pose2, Tick
 
 EVERY = 4  # ticks between two drawings of costmap, plan and candidate arcs
@@ -84,6 +83,24 @@ def events_of(tick: Tick, before: Tick | None) -> Iterator[tuple[str, str]]:
         yield f"{tick.outcome.value} after {tick.elapsed:.2f} s", level
 
 
+def style_drawings(stream: Any) -> None:
+    """Colours and sizes [m] of what is drawn per tick, logged once."""
+    lines = {
+        "world/robot/arcs/candidates": (None, 0.006),
+        "world/robot/arcs/chosen": (palette.CHOSEN_ARC, 0.022),
+        "world/global_path": (palette.GLOBAL_PATH, 0.018),
+        "world/trail": (None, 0.028),
+    }
+    points = {"world/robot/scan": (palette.SCAN, 0.022), "world/contact": (palette.CONTACT, 0.09)}
+    for shape, styles in ((rr.LineStrips3D, lines), (rr.Points3D, points)):
+        for entity, (colour, radius) in styles.items():
+            stream.send_columns(entity, [], shape.columns(radii=[radius]))
+            if colour is not None:
+                stream.send_columns(entity, [], shape.columns(colors=np.array([colour], np.uint8)))
+    # Below 1, or Rerun ignores the image's own transparency.
+    stream.send_columns("world/local_costmap", [], rr.GridMap.columns(opacity=[0.99]))
+
+
 def _scalars(ticks: Sequence[Tick]) -> Iterator[Rows]:
     found: dict[str, tuple[list[Tick], list[float]]] = {}
     for tick in ticks:
@@ -132,8 +149,8 @@ def _trail(ticks: Sequence[Tick], before: Tick | None) -> Iterator[Rows]:
     """The stretch driven since the tick before, coloured by the context that drove it."""
     moved = [(a, b) for a, b in _steps(ticks, before) if a is not None and a.true_pose != b.true_pose]
     if moved:
-        strips = [np.array([(p.x, p.y, 0.02) for p in (a.true_pose, b.true_pose)], np.float32) for a, b in moved]
-        colours = [context_colour(a.decision.context) for a, _ in moved]
+        strips = np.array([[(p.x, p.y, 0.02) for p in (a.true_pose, b.true_pose)] for a, b in moved], np.float32)
+        colours = [palette.context_colour(a.decision.context) for a, _ in moved]
         columns = rr.LineStrips3D.columns(strips=strips, colors=np.array(colours, np.uint8))
         yield Rows("world/trail", [b for _, b in moved], columns)
 
@@ -142,8 +159,7 @@ def _contacts(ticks: Sequence[Tick]) -> Iterator[Rows]:
     touching = [(tick, tick.contact) for tick in ticks if tick.contact is not None]
     if touching:
         positions = np.array([(hit.x, hit.y, 0.15) for _, hit in touching], np.float32)
-        colours = np.array([CONTACT] * len(touching), np.uint8)
-        columns = rr.Points3D.columns(positions=positions, colors=colours, radii=[0.08] * len(touching))
+        columns = rr.Points3D.columns(positions=positions)
         yield Rows("world/contact", [tick for tick, _ in touching], columns)
 
 
@@ -156,7 +172,7 @@ def _events(ticks: Sequence[Tick], before: Tick | None) -> Iterator[Rows]:
 
 def _candidates(ticks: Sequence[Tick]) -> Rows:
     arcs = [drawing.candidate_arcs(tick.decision) for tick in ticks]
-    strips = list(np.concatenate([a.points for a in arcs]))
+    strips = np.concatenate([a.points for a in arcs])  # one array: Rerun converts a list 10 x slower
     colours = np.concatenate([a.colours for a in arcs])
     columns = rr.LineStrips3D.columns(strips=strips, colors=colours)
     return Rows("world/robot/arcs/candidates", ticks, columns.partition([len(a.colours) for a in arcs]))

@@ -90,7 +90,7 @@ def costmap_of(tick: Tick) -> ObstacleMap:
 
 def costmap_image(costmap: ObstacleMap) -> Bytes:
     """(ny, nx, 4) RGBA, top row first: images have y down, maps have it up."""
-    return COSTMAP[costmap.cells[::-1]]
+    return COSTMAP.view(np.uint32)[:, 0][costmap.cells[::-1]].view(np.uint8).reshape(*costmap.cells.shape, 4)
 
 
 def wheels_on_chassis(body_poses: Array) -> Array:

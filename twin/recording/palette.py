@@ -81,7 +81,7 @@ def context_colour(context: str) -> RGB:
 
 def dimmed(context: str) -> RGB:
     """A context's colour, half way to the floor: for the outline of the segment built to provoke it."""
-    r, g, b = ((c + 2 * f) // 3 for c, f in zip(context_colour(context), FLOOR, strict=True))
+    r, g, b = ((c + f) // 2 for c, f in zip(context_colour(context), FLOOR, strict=True))
     return (r, g, b)
 
 

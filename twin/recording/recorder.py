@@ -8,11 +8,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 
+import numpy as np
 import rerun as rr
 
 from twin.recording.blueprint import layout, style_plots
-from twin.recording.channels import Rows, rows_of
-from twin.recording.robot_shape import draw_robot
+from twin.recording.channels import Rows, rows_of, style_drawings
+from twin.recording.robot_shape import draw_lidar, draw_robot
 from twin.recording.scenery import draw_world
 from twin.recording.sink import FileSink, RecordingError
 from twin.records import Tick
@@ -40,7 +41,7 @@ class Recorder:
         self._closed = False
         self._sink = FileSink(self.path)
         self._stream = rr.RecordingStream(APPLICATION, recording_id=self._identity(), send_properties=False)
-        self._stream.save(self._sink.rerun_path, default_blueprint=layout(world))
+        self._stream.save(self._sink.rerun_path)
         self._sink.opened()
         self._stream.send_recording_name(self._title())
         self._stream.send_property("run", rr.AnyValues(**{k: str(v) for k, v in self.metadata.items()}))
@@ -48,6 +49,7 @@ class Recorder:
         draw_world(self._stream, world)
         draw_robot(self._stream)
         style_plots(self._stream)
+        style_drawings(self._stream)
         self._describe()
 
     def __enter__(self) -> Recorder:
@@ -85,15 +87,22 @@ class Recorder:
     def _write(self) -> None:
         ticks, self._pending = self._pending, []  # first, so that an interrupt in here writes no tick twice
         if ticks:
+            if self._last is None:
+                self._begin(ticks[0])
             before, self._last = self._last, ticks[-1]
             for rows in rows_of(ticks, before):
                 self._send(rows)
 
+    def _begin(self, first: Tick) -> None:
+        """What only the first tick tells: which lidar the robot carries, and whether a classifier drives."""
+        draw_lidar(self._stream, first.observation.scan.mount)
+        self._stream.send_blueprint(layout(self.world, learned=first.decision.confidence is not None))
+
     def _send(self, rows: Rows) -> None:
         # send_columns and not log: its chunks are ours, so equal ticks give equal files, and no wall-clock timeline
-        times = [tick.observation.time for tick in rows.ticks]
+        seconds = np.array([tick.observation.time for tick in rows.ticks])
         indexes = [
-            rr.TimeColumn("sim_time", duration=times),
+            rr.TimeColumn("sim_time", duration=np.rint(seconds * 1e9).astype("timedelta64[ns]")),
             rr.TimeColumn("tick", sequence=[tick.index for tick in rows.ticks]),
         ]
         self._stream.send_columns(rows.entity, indexes, rows.columns)
