@@ -148,3 +148,10 @@ def test_the_same_world_compiles_to_the_same_model() -> None:
     assert sizes[0] == sizes[1]
     np.testing.assert_array_equal(first.geom_pos, second.geom_pos)
     np.testing.assert_array_equal(first.geom_size, second.geom_size)
+
+
+def test_a_remembered_world_is_handed_out_as_a_copy() -> None:
+    first = compile_world(cylinders(20))
+    first.opt.timestep = 0.5
+    assert compile_world(cylinders(20)).opt.timestep == 0.002
+    assert compile_world(cylinders(20), timestep=0.005).opt.timestep == 0.005

@@ -94,6 +94,14 @@ def test_only_the_robot_and_the_world_can_touch() -> None:
     assert not np.any(conaffinity[ROBOT.is_robot])
 
 
+def test_the_contact_settings_reach_the_compiled_world() -> None:
+    assert MODEL.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
+    assert MODEL.opt.integrator == mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    assert MODEL.opt.tolerance == 1e-4
+    assert MODEL.opt.timestep == 0.002
+    assert MODEL.geom_type[ROBOT.floor] == mujoco.mjtGeom.mjGEOM_PLANE
+
+
 def test_the_yaw_rate_is_what_the_gyro_measures() -> None:
     data = mujoco.MjData(MODEL)
     data.qpos[ROBOT.free_qpos + 3 : ROBOT.free_qpos + 7] = (0.9, 0.1, -0.2, 0.3)

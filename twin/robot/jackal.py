@@ -99,6 +99,7 @@ def build_jackal(lidar_mount: str = "ust10") -> mjcf.RootElement:
     # Elliptic cones: yaw jitter 0.02 rad/s, against 0.21 with pyramids. implicitfast keeps the stiff servo stable.
     root.option.cone = "elliptic"
     root.option.integrator = "implicitfast"
+    root.option.tolerance = 1e-4  # of the contact solver; 1e-8 drives the same and costs a tenth more
 
     chassis = root.worldbody.add("body", name="chassis")
     chassis.add("inertial", mass=MASS, pos=CENTRE_OF_MASS, fullinertia=INERTIA)
