@@ -124,11 +124,12 @@ def _image_path(path: Path, settings: dict[str, Any]) -> Path:
 def _read_image(path: Path) -> Array:
     """(ny, nx) 0 black .. 1 white, top row first: the mean of all channels, as map_server takes it."""
     try:
-        with Image.open(path, formats=("PPM", "PNG", "BMP", "JPEG", "TIFF")) as image:
-            if image.width * image.height > MAX_PIXELS:
-                raise WorldError(f"{path} has {image.width} x {image.height} pixels; {MAX_PIXELS:,} are the limit")
-            deep = image.mode.startswith("I")  # 16 bits
-            known = image if deep or image.mode in ("L", "LA", "RGB", "RGBA") else image.convert("L")
+        with Image.open(path, formats=("PPM", "PNG", "BMP", "JPEG", "TIFF")) as file:
+            if file.width * file.height > MAX_PIXELS:
+                raise WorldError(f"{path} has {file.width} x {file.height} pixels; {MAX_PIXELS:,} are the limit")
+            deep = file.mode.startswith("I")  # 16 bits
+            image = file.convert("RGBA") if file.mode == "LA" else file  # as SDL does for map_server
+            known = image if deep or image.mode in ("L", "RGB", "RGBA") else image.convert("L")
             shade = np.asarray(known, dtype=np.float64) / (65535.0 if deep else 255.0)
     except WorldError:
         raise

@@ -1,0 +1,172 @@
+"""The command line as a user meets it: exit codes, one line for a mistake, JSON and nothing else, equal runs."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+
+def appli(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """Run the command in a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-m", "scenarios", *arguments],
+        capture_output=True,
+        text=True,
+        timeout=240,
+        cwd=cwd,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])},
+        check=False,
+    )
+
+
+def complaint(*arguments: str, cwd: Path | None = None) -> str:
+    """The one line on stderr of a refused command."""
+    done = appli(*arguments, cwd=cwd)
+    assert done.returncode == 2, done.stderr
+    assert done.stdout == ""
+    lines = done.stderr.strip().splitlines()
+    assert len(lines) == 1, done.stderr
+    assert lines[0].startswith("appli: ")
+    assert "Traceback" not in lines[0]
+    return lines[0]
+
+
+def test_help_is_quick_and_names_every_command() -> None:
+    began = time.perf_counter()
+    done = appli("--help")
+    assert time.perf_counter() - began < 1.0
+    assert done.returncode == 0
+    assert all(name in done.stdout for name in ("run", "worlds", "collect", "bench", "demo"))
+
+
+@pytest.mark.parametrize("command", ["run", "worlds", "collect", "bench", "demo"])
+def test_every_command_has_help_with_defaults(command: str) -> None:
+    done = appli(command, "--help")
+    assert done.returncode == 0
+    assert "default" in done.stdout
+
+
+def test_no_heavy_import_for_help_or_a_plain_run() -> None:
+    code = (
+        "import sys; from scenarios.cli import main\n"
+        "try: main(['run', 'open', '--json'])\n"
+        "except SystemExit: pass\n"
+        "print(sorted({'torch', 'rerun', 'dask', 'distributed', 'matplotlib'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip().splitlines()[-1] == "[]"
+
+
+def test_a_run_that_arrives() -> None:
+    done = appli("run", "open", "--json")
+    assert done.returncode == 0
+    report = json.loads(done.stdout)
+    assert report["outcome"] == "reached"
+    assert set(report) >= {
+        "world", "protocol", "driver", "seed", "outcome", "time", "distance", "recoveries", "min_clearance",
+        "contexts", "wall_time", "real_time_factor", "recording",
+    }  # fmt: skip
+    assert report["contexts"] == {"default": 1.0}
+
+
+def test_an_unreachable_goal_runs_and_reports(tmp_path: Path) -> None:
+    course = tmp_path / "closed.toml"
+    course.write_text(
+        'name = "closed"\nstart = [0.0, 0.0, 0.0]\ngoal = [3.0, 0.0]\ntime_limit = 8.0\n'
+        "[[walls]]\npoints = [[-1.0, -1.0], [1.5, -1.0], [1.5, 1.0], [-1.0, 1.0]]\nclosed = true\n"
+    )
+    done = appli("run", str(course), "--json")
+    assert done.returncode == 1, done.stderr
+    assert json.loads(done.stdout)["outcome"] in {"timed_out", "aborted"}
+
+
+def test_equal_specs_in_two_processes_give_equal_streams() -> None:
+    reports = [json.loads(appli("run", "barn-like/7", "--seed", "3", "--json").stdout) for _ in range(2)]
+    for report in reports:
+        del report["wall_time"], report["real_time_factor"]
+    assert reports[0] == reports[1]
+    other = json.loads(appli("run", "barn-like/7", "--seed", "4", "--json").stdout)
+    assert other["digest"] != reports[0]["digest"]
+
+
+def test_an_unknown_world_names_the_closest() -> None:
+    assert "training" in complaint("run", "trainin")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (["run"], "needs"),
+        (["rnu", "open"], "Available"),
+        (["run", "open", "--sed", "1"], "--seed"),
+        (["run", "open", "--seed", "x"], "--seed"),
+        (["run", "open", "--seed", "-1"], "--seed"),
+        (["run", "open", "--protocol", "moon"], "icra22"),
+        (["run", "open", "--driver", "nobody"], "driver"),
+        (["run", "open", "--params", "missing.yaml"], "missing.yaml"),
+        (["run", "open", "--record", "/nowhere/at/all.rrd"], "/nowhere"),
+        (["run", "barn-like/300"], "299"),
+        (["collect", "open"], "--out"),
+    ],
+)
+def test_mistakes_get_one_line(arguments: list[str], word: str) -> None:
+    assert word in complaint(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        ("max_vel_x: .nan\n", "max_vel_x"),
+        ("max_vel_x: 90\n", "outside"),
+        ("max_vel: 0.5\n", "max_vel_x"),
+        ("vx_samples: 2.5\n", "whole"),
+        ("vx_samples: true\n", "number"),
+        ("- 1\n- 2\n", "max_vel_x"),
+        ("{", "YAML"),
+        ("a: &a [1]\nb: !!python/object/apply:os.system ['true']\n", "YAML"),
+    ],
+)
+def test_bad_parameters_get_one_line(tmp_path: Path, text: str, word: str) -> None:
+    (tmp_path / "p.yaml").write_text(text)
+    assert word in complaint("run", "open", "--params", str(tmp_path / "p.yaml"))
+
+
+def test_parameters_reach_the_planner(tmp_path: Path) -> None:
+    (tmp_path / "p.yaml").write_text("max_vel_x: 0.25\n")
+    slow = json.loads(appli("run", "open", "--params", str(tmp_path / "p.yaml"), "--json").stdout)
+    usual = json.loads(appli("run", "open", "--json").stdout)
+    assert slow["time"] > 1.7 * usual["time"]
+
+
+def test_a_pickled_grid_is_refused(tmp_path: Path) -> None:
+    np.save(tmp_path / "grid.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
+    complaint("run", str(tmp_path / "grid.npy"))
+
+
+@pytest.mark.slow
+def test_ctrl_c_closes_the_recording(tmp_path: Path) -> None:
+    path = tmp_path / "run.rrd"
+    child = subprocess.Popen(
+        [sys.executable, "-m", "scenarios", "run", "training", "--record", str(path)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    deadline = time.monotonic() + 120
+    while time.monotonic() < deadline and (not path.exists() or path.stat().st_size < 200_000):
+        time.sleep(0.1)
+    child.send_signal(signal.SIGINT)
+    _, err = child.communicate(timeout=60)
+    assert child.returncode == 130, err
+    assert "Traceback" not in err
+    verified = subprocess.run(["rerun", "rrd", "verify", str(path)], capture_output=True, text=True, check=False,
+                              env={**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"})  # fmt: skip
+    assert verified.returncode == 0, verified.stdout + verified.stderr
