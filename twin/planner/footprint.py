@@ -216,7 +216,11 @@ def footprint_cells(
     return Raster(count, True)
 
 
+@compiled
 def raster_capacity(footprint: Array, resolution: float) -> int:
     """How many entries the `cells` buffer of `footprint_cells` needs at any pose on any map of that resolution."""
-    side = 2 * math.ceil(footprint_radii(footprint)[1] / resolution) + 2
-    return side * max(side, len(footprint))
+    radius = 0.0
+    for k in range(footprint.shape[0]):
+        radius = max(radius, math.hypot(footprint[k, 0], footprint[k, 1]))
+    side: int = 2 * math.ceil(radius / resolution) + 2
+    return max(side * side, side * len(footprint))

@@ -12,6 +12,10 @@ from collections.abc import Callable
 from typing import TypeVar
 
 import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.records import Bytes
 
 FREE = 0
 INSCRIBED = 253  # cost of a cell closer to an obstacle than the inscribed radius
@@ -68,6 +72,12 @@ def clamped_axis_cell(w: float, origin: float, resolution: float, size: int) -> 
 def cell_to_world(m: int, origin: float, resolution: float) -> float:
     """`mapToWorld` on one axis: the coordinate [m] of the centre of cell m."""
     return origin + (m + 0.5) * resolution
+
+
+@compiled
+def eights(flat: Bytes) -> NDArray[np.uint64]:
+    """A C-contiguous grid's bytes (n,) in groups of eight (n // 8,), to pass over free space quickly."""
+    return flat[: len(flat) // 8 * 8].view(np.uint64)
 
 
 def cell_distance(distance: float, resolution: float) -> int:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.planner.footprint import INSCRIBED_RADIUS
-from twin.planner.grid import FREE, NO_INFORMATION, cell_distance, clamped_axis_cell, compiled
+from twin.planner.grid import FREE, NO_INFORMATION, cell_distance, clamped_axis_cell, compiled, eights
 from twin.planner.inflation_wave import Spread, spread, spread_tables
 from twin.planner.map_frame import NO_BOUNDS, Bounds, MapSpec, shifted
 from twin.records import Bytes, ObstacleMap, frozen_array
@@ -96,10 +96,18 @@ def _window(before: Bounds, layer: ObstacleMap, radius: float) -> Window | None:
 @compiled
 def _merge(cells: Bytes, layer: Bytes, x0: int, y0: int, x1: int, y1: int) -> None:
     """Reset the window to free and take the layer's costs where it has any ("maximum" over a grid of zeros)."""
+    nx = cells.shape[1]
+    to, of = cells.ravel(), layer.ravel()
+    to_words, of_words = eights(to), eights(of)
     for y in range(y0, y1):
-        for x in range(x0, x1):
-            cost = layer[y, x]
-            cells[y, x] = FREE if cost == NO_INFORMATION else cost
+        n, end = y * nx + x0, y * nx + x1
+        while n < end:
+            if n % 8 == 0 and n + 8 <= end and of_words[n // 8] == 0:
+                to_words[n // 8] = 0
+                n += 8
+                continue
+            to[n] = FREE if of[n] == NO_INFORMATION else of[n]
+            n += 1
 
 
 def _inflate_in_place(cells: Bytes, window: Window, resolution: float, inflation: InflationParams) -> None:

@@ -257,6 +257,7 @@ def _apply_scan(
             _touch(bounds, x, y)
 
 
+@compiled
 def _clear_footprint(
     cells: Bytes,
     origin_x: float,
@@ -270,10 +271,13 @@ def _clear_footprint(
 ) -> None:
     """Free the cells under the footprint, unless a corner is off the map; touch its corners either way."""
     size_y, size_x = cells.shape
+    flat = cells.ravel()
     under = np.empty(raster_capacity(footprint, resolution), dtype=np.int32)
     raster = footprint_cells(origin_x, origin_y, resolution, size_x, size_y, x, y, yaw, footprint, under)
     if raster.complete:
-        cells.reshape(-1)[under[: raster.length]] = FREE
+        for k in range(raster.length):
+            flat[under[k]] = FREE
     c, s = math.cos(yaw), math.sin(yaw)
-    for px, py in footprint.tolist():
+    for k in range(footprint.shape[0]):
+        px, py = footprint[k, 0], footprint[k, 1]
         _touch(bounds, x + (px * c - py * s), y + (px * s + py * c))
