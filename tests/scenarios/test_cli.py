@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -40,9 +41,9 @@ def complaint(*arguments: str, cwd: Path | None = None) -> str:
 
 
 def test_help_is_quick_and_names_every_command() -> None:
-    began = time.perf_counter()
+    before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
     done = appli("--help")
-    assert time.perf_counter() - began < 1.0
+    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before < 1.0
     assert done.returncode == 0
     assert all(name in done.stdout for name in ("run", "worlds", "collect", "bench", "demo"))
 
@@ -167,6 +168,6 @@ def test_ctrl_c_closes_the_recording(tmp_path: Path) -> None:
     _, err = child.communicate(timeout=60)
     assert child.returncode == 130, err
     assert "Traceback" not in err
-    verified = subprocess.run(["rerun", "rrd", "verify", str(path)], capture_output=True, text=True, check=False,
-                              env={**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"})  # fmt: skip
+    rerun = Path(sys.executable).with_name("rerun")
+    verified = subprocess.run([rerun, "rrd", "verify", path], capture_output=True, text=True, check=False)
     assert verified.returncode == 0, verified.stdout + verified.stderr
