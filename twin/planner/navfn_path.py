@@ -110,6 +110,8 @@ def trace(potentials: Potentials, nx: int, start: int, source: int, path: NDArra
     at = start
     dx = dy = np.float32(0.0)
     one = np.float32(1.0)
+    gradients_at = -1
+    x00 = y00 = x01 = y01 = x10 = y10 = x11 = y11 = np.float32(0.0)
     k = 0
     for _ in range(len(path)):
         near = max(0, min(ns - 1, at + _round(dx) + nx * _round(dy)))
@@ -122,17 +124,19 @@ def trace(potentials: Potentials, nx: int, start: int, source: int, path: NDArra
         path[k, 1] = np.float32(at // nx) + dy
         k += 1
         oscillates = k > 2 and path[k - 1, 0] == path[k - 3, 0] and path[k - 1, 1] == path[k - 3, 1]
-        if oscillates or not _block_is_reached(potentials, nx, at):
+        if oscillates or (at != gradients_at and not _block_is_reached(potentials, nx, at)):
             # An unreached cell is beyond the ints: C++ gets INT_MIN, no neighbour is lower, and the trace fails.
             if potentials[at] >= UNREACHED:
                 return k
             at = _grid_step(potentials, nx, at)
             dx = dy = np.float32(0.0)
             continue
-        x00, y00 = _gradient(potentials, nx, at)
-        x01, y01 = _gradient(potentials, nx, at + 1)
-        x10, y10 = _gradient(potentials, nx, at + nx)
-        x11, y11 = _gradient(potentials, nx, at + nx + 1)
+        if at != gradients_at:  # about every other step stays in its cell
+            x00, y00 = _gradient(potentials, nx, at)
+            x01, y01 = _gradient(potentials, nx, at + 1)
+            x10, y10 = _gradient(potentials, nx, at + nx)
+            x11, y11 = _gradient(potentials, nx, at + nx + 1)
+            gradients_at = at
         x = _mix(dy, _mix(dx, x00, x01), _mix(dx, x10, x11))
         y = _mix(dy, _mix(dx, y00, y01), _mix(dx, y10, y11))
         if x == 0.0 and y == 0.0:
