@@ -16,8 +16,8 @@ from twin.world import World
 
 TIMELINE = "sim_time"
 FIELD_OF_VIEW = math.radians(55.0)  # vertical, of Rerun's 3-D camera
-TOP_ASPECT = 1.8  # width over height of the top view in a 16:9 window, a little less to be safe
-CHASE = (-1.5, 0.0, 1.15)  # [m] the robot view's camera from the robot, ahead being the way it faces at the start
+TOP_ASPECT = 2.0  # width over height of the top view in a 16:9 window, a little less to be safe
+CAMERA = (-1.15, 0.45, 0.95)  # [m] of the robot view, in base_link
 
 PLOTS: dict[str, dict[str, tuple[str, RGB, float]]] = {  # plot: entity: (name, colour, line width)
     "speed [m/s]": {
@@ -54,7 +54,7 @@ def layout(world: World, learned: bool) -> rrb.Blueprint:
     """The blueprint of a recording in `world`; `learned`: a context classifier drives, so there is a confidence."""
     scenes = rrb.Horizontal(
         _top_view(world),
-        rrb.Vertical(_robot_view(world), rrb.TextDocumentView(origin="run", name="run"), row_shares=[1.6, 1.0]),
+        rrb.Vertical(_robot_view(), rrb.TextDocumentView(origin="run", name="run"), row_shares=[1.6, 1.0]),
         column_shares=[2.0, 1.0],
     )
     charts = rrb.Horizontal(
@@ -62,10 +62,11 @@ def layout(world: World, learned: bool) -> rrb.Blueprint:
         rrb.Vertical(_plot("speed [m/s]"), _plot("turn rate [rad/s]")),
         rrb.Vertical(_plot("clearance [m]"), _plot("confidence" if learned else "chosen arc")),
         rrb.Vertical(_plot("parameters"), _plot("samples"), row_shares=[1.5, 1.0]),
+        column_shares=[1.0, 1.0, 1.0, 1.15],
     )
     return rrb.Blueprint(
         rrb.Vertical(scenes, charts, row_shares=[1.5, 1.0]),
-        rrb.TimePanel(timeline=TIMELINE, state="collapsed", play_state="paused"),
+        rrb.TimePanel(timeline=TIMELINE, state="collapsed", play_state="following"),
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),
         auto_layout=False,
@@ -98,7 +99,7 @@ def _top_view(world: World) -> rrb.Spatial3DView:
     x, y = (x0 + x1) / 2.0, (y0 + y1) / 2.0
     return rrb.Spatial3DView(
         origin="world",
-        contents=["+ $origin/**", "- $origin/obstacles/**"],
+        contents=["+ $origin/**", "- $origin/obstacles/**", "- $origin/robot/scan"],
         name="top view",
         background=palette.BACKGROUND,
         line_grid=False,
@@ -112,22 +113,19 @@ def _top_view(world: World) -> rrb.Spatial3DView:
     )
 
 
-def _robot_view(world: World) -> rrb.Spatial3DView:
-    """The robot and what stands round it, from behind and above, following it."""
-    c, s = math.cos(world.start.yaw), math.sin(world.start.yaw)
-    x, y, z = CHASE
+def _robot_view() -> rrb.Spatial3DView:
+    """The robot and what stands round it, seen over its shoulder.
+
+    The view lives in the robot's frame. Rerun can also follow an entity, but then places the camera by the entity's
+    size, and only next to entities that have one.
+    """
     return rrb.Spatial3DView(
-        origin="world",
-        contents=["+ $origin/**", "- $origin/plan/**", "- $origin/local_costmap", "- $origin/segments/**"],
+        origin="world/robot",
+        contents=["+ /world/**", "- /world/plan/**", "- /world/local_costmap", "- /world/segments/**"],
         name="robot",
         background=palette.BACKGROUND,
         line_grid=False,
-        eye_controls=rrb.EyeControls3D(
-            kind=rrb.Eye3DKind.Orbital,
-            position=(world.start.x + c * x - s * y, world.start.y + s * x + c * y, z),
-            look_target=(world.start.x, world.start.y, 0.1),
-            tracking_entity="/world/robot",
-        ),
+        eye_controls=rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=CAMERA, look_target=(0.35, 0.0, 0.1)),
         overrides=_overrides(),
     )
 

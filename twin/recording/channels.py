@@ -1,7 +1,7 @@
 """What a batch of ticks adds to a recording: per entity, rows of Rerun columns on the ticks they belong to.
 
 Entity paths: `world/...` is drawn, everything else is plotted, shown as lanes, or listed. Costmap, plan and arcs are
-drawn at 5 Hz, the rest at 20 Hz.
+drawn at 5 Hz, the scan of the top view at 10 Hz, the rest at 20 Hz.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from twin.recording import drawing, palette
 from twin.records import Array, Pose2, Tick
 
 EVERY = 4  # ticks between two drawings of costmap, plan and candidate arcs
+FLAT_SCAN_EVERY = 2  # ticks between two drawings of the scan in the top view
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")  # the order of Tick.body_poses
 
 
@@ -35,6 +36,8 @@ def rows_of(ticks: Sequence[Tick], before: Tick | None) -> Iterator[Rows]:
     yield from _states(ticks, before)
     yield from _poses(ticks, before)
     yield _scans(ticks)
+    if flat := [tick for tick in ticks if tick.index % FLAT_SCAN_EVERY == 0]:
+        yield _flat_scans(flat)
     yield from _trail(ticks, before)
     yield from _contacts(ticks)
     yield from _events(ticks, before)
@@ -91,7 +94,11 @@ def style_drawings(stream: Any) -> None:
         "world/global_path": (palette.GLOBAL_PATH, 0.018),
         "world/trail": (None, 0.028),
     }
-    points = {"world/robot/scan": (palette.SCAN, 0.022), "world/contact": (palette.CONTACT, 0.09)}
+    points = {
+        "world/robot/scan": (palette.SCAN, 0.016),
+        "world/plan/scan": (palette.SCAN, 0.03),
+        "world/contact": (palette.CONTACT, 0.09),
+    }
     for shape, styles in ((rr.LineStrips3D, lines), (rr.Points3D, points)):
         for entity, (colour, radius) in styles.items():
             stream.send_columns(entity, [], shape.columns(radii=[radius]))
@@ -143,6 +150,13 @@ def _scans(ticks: Sequence[Tick]) -> Rows:
     points = [drawing.scan_points(tick.observation.scan) for tick in ticks]
     columns = rr.Points3D.columns(positions=np.concatenate(points))
     return Rows("world/robot/scan", ticks, columns.partition([len(p) for p in points]))
+
+
+def _flat_scans(ticks: Sequence[Tick]) -> Rows:
+    """Every second return, laid on the floor: seen from above, what is drawn higher up is shifted outwards."""
+    points = [drawing.on_plane(drawing.scan_in_world(tick)[::2], 0.04) for tick in ticks]
+    columns = rr.Points3D.columns(positions=np.concatenate(points))
+    return Rows("world/plan/scan", ticks, columns.partition([len(p) for p in points]))
 
 
 def _trail(ticks: Sequence[Tick], before: Tick | None) -> Iterator[Rows]:

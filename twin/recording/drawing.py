@@ -52,6 +52,13 @@ def scan_points(scan: Scan) -> Floats:
     return np.column_stack([ranges * np.cos(angles), ranges * np.sin(angles), np.zeros(len(ranges))]).astype(np.float32)
 
 
+def scan_in_world(tick: Tick) -> Array:
+    """(n, 2) returns [m] in the world, seen from above."""
+    x, y, _ = tick.observation.scan.mount
+    world_from_sensor = compose(tick.true_pose, Pose2(x, y, 0.0))
+    return transform_points(world_from_sensor, scan_points(tick.observation.scan)[:, :2].astype(np.float64))
+
+
 def roll_out(velocities: Array) -> Floats:
     """(n, ROLLOUT_POINTS, 3) base_link: unicycle arcs from the robot under constant v [m/s], w [rad/s] (n, 2)."""
     times = np.linspace(0.0, ROLLOUT_TIME, ROLLOUT_POINTS)

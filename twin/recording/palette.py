@@ -30,7 +30,7 @@ OBSTACLES: dict[str, RGB] = {
 }
 
 CONTEXTS: dict[str, RGB] = {
-    DEFAULT_CONTEXT: (176, 186, 200),
+    DEFAULT_CONTEXT: (150, 162, 182),
     "A1": (255, 120, 117),
     "A2": (255, 169, 77),
     "B1": (77, 171, 247),
@@ -81,7 +81,7 @@ def context_colour(context: str) -> RGB:
 
 def dimmed(context: str) -> RGB:
     """A context's colour, half way to the floor: for the outline of the segment built to provoke it."""
-    r, g, b = ((c + f) // 2 for c, f in zip(context_colour(context), FLOOR, strict=True))
+    r, g, b = ((2 * c + f) // 3 for c, f in zip(context_colour(context), FLOOR, strict=True))
     return (r, g, b)
 
 
@@ -89,11 +89,11 @@ def _costmap_colours() -> Bytes:
     """(256, 4) RGBA by cost byte: free is clear, inflation a violet haze, inscribed and lethal stand out."""
     table = np.zeros((256, 4), dtype=np.uint8)
     haze = np.linspace(0.0, 1.0, 252)  # cost 1..252: inside the inflation radius
-    low, high = np.array([70, 60, 140]), np.array([190, 70, 160])
+    low, high = np.array([64, 70, 150]), np.array([120, 76, 160])
     table[1:253, :3] = low + haze[:, None] * (high - low)
-    table[1:253, 3] = 30 + 110 * haze
-    table[253] = (226, 84, 120, 165)  # the robot's centre here is in collision
-    table[254] = (255, 170, 120, 215)  # an obstacle was seen here
+    table[1:253, 3] = 25 + 70 * haze
+    table[253] = (146, 78, 150, 120)  # the robot's centre here is in collision
+    table[254] = (255, 160, 122, 200)  # an obstacle was seen here
     table[255] = (60, 66, 76, 90)  # unknown
     table.setflags(write=False)
     return table

@@ -113,13 +113,11 @@ class Recorder:
         self._stream.send_columns("run", [], text)
 
     def _summary(self) -> str:
-        facts: dict[str, object] = dict(self.metadata)
+        lines = [" · ".join(f"{name} **{value}**" for name, value in self.metadata.items()), "", self.world.note]
         if (last := self._last) is not None:
-            facts["outcome"] = f"**{'interrupted' if last.outcome is None else last.outcome.value}**"
-            facts["time"] = f"{last.elapsed:.2f} s"
-            facts["recoveries"] = last.decision.recoveries
-        lines = [f"### {self._title()}", self.world.note, "", "| | |", "|---|---|"]
-        return "\n".join([*lines, *(f"| {name} | {value} |" for name, value in facts.items())])
+            how = "interrupted" if last.outcome is None else last.outcome.value
+            lines = [f"### {how} after {last.elapsed:.2f} s, {last.decision.recoveries} recoveries", "", *lines]
+        return "\n".join(lines)
 
     def _title(self) -> str:
         return " · ".join(str(self.metadata[key]) for key in ("world", "driver", "seed") if key in self.metadata)
