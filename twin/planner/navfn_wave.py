@@ -112,7 +112,7 @@ def propagate(
     while cycle < cycles and n_current > 0:
         cycle += 1
         for i in range(current, current + n_current):
-            n = int(queues[i])
+            n = int(np.int64(queues[i]))  # signed, because numba would compare a mixed pair as floats
             vacant[n] = 1
             lowest, highest = min(lowest, n), max(highest, n)
         end_following, end_over = _relax(
