@@ -60,6 +60,7 @@ class Keys:
 
     held: frozenset[str] = frozenset()
     pressed: tuple[str, ...] = ()  # in order; a key that was tapped and let go may be here without being held
+    lost: bool = False  # nobody can be at the keys: the page is gone, hidden, or not there yet
 
     @property
     def driving(self) -> bool:

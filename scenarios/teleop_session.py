@@ -28,6 +28,7 @@ from twin.simulation import TICK
 TAPE = 60.0  # [s] that can be wound back
 REWIND_STEP = 2  # ticks per frame: twice as fast as life
 FAST_REWIND_STEP = 8  # with Shift
+STANDS = 0.02  # [m/s] slower than this the robot has stopped
 LONGEST = 40.0  # [s] of one intervention; its maps take 14 MB per second until they are packed
 
 
@@ -45,6 +46,7 @@ class TeleopSession:
         self._noticed: tuple[int, str] | None = None  # a rewind without an intervention: from where
         self._cursor: int | None = None  # the tick shown while rewinding
         self._waiting = False
+        self._met = False  # somebody has been at the keys
         self._outcome: Outcome | None = None  # that stopped the twin
         self._late = False  # the trial's time is over; told once
         self._message = "the planner drives"
@@ -181,7 +183,8 @@ class TeleopSession:
 
     def _go_on(self, keys: Keys) -> None:
         """One tick of the twin, unless it waits."""
-        if self._outcome is not None or (self._waiting and not keys.driving):
+        self._met |= not keys.lost
+        if not self._met or self._outcome is not None or (self._waiting and not keys.driving):
             return
         self._waiting = False
         if keys.driving and not self._hands_on:
@@ -189,17 +192,20 @@ class TeleopSession:
             self._message = "you drive; this is not recorded (1, 2, 3: intervene)"
         command: Command | None = None
         if self._hands_on:
-            self._stick = self._stick.advance(keys, TICK)
+            self._stick = Stick() if keys.lost else self._stick.advance(keys, TICK)  # dead-man: zero at once
             command = self._stick.command
             self._idle = self._idle + TICK if self._stick.at_rest and not keys.driving else 0.0
         tick = self._tape.step(command)
         self._keep(tick)
+        if self._hands_on and keys.lost and abs(tick.observation.twist.v) < STANDS:
+            self._waiting = True
+            self._message = "nobody at the keys: stopped, and waiting"
         if self._taught is not None and command is not None:
             self._taught.steps[tick.index] = Step(tick.observation, command)
             if self._taught.seconds >= LONGEST:
                 self._waiting = True
                 self._message = f"{LONGEST:.0f} s are enough for one: Enter saves, R winds back, Backspace discards"
-        elif self._hands_on and self._idle >= HOLD - 1e-9:
+        elif self._hands_on and not self._waiting and self._idle >= HOLD - 1e-9:
             self._release()
             self._message = "the planner drives"
         self._judge(tick)

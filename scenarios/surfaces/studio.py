@@ -1,0 +1,293 @@
+"""MuJoCo Studio as a teleop surface, in a browser or in a window. The only doorway to `mujoco.experimental.studio`.
+
+Studio's viewer runs on a thread of its own with a copy of the model and gets the twin's physics state after every
+tick; what it reads from the keyboard waits here until the session asks. Studio's usual tools (pausing, dragging,
+loading models) are not plugged in: they would change what the twin does behind the session's back.
+
+Studio's web server is meant for trusted networks: it listens everywhere, takes models from anyone, and answers any
+page. Here it listens on one address, takes nothing, and answers its own page only (`Guard`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import logging
+import math
+import os
+import socket
+import sys
+import threading
+import time
+from collections.abc import Callable
+from typing import Any, Final
+from urllib.parse import urlsplit
+
+import mujoco
+from mujoco.experimental.dear_imgui import dear_imgui as imgui
+from mujoco.experimental.studio import launch_thread, messages, plugin, ux, viewer_protocol
+from websockets.asyncio.server import ServerConnection
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
+
+from scenarios.errors import UserError
+from scenarios.keyboard import CAMERA, QUIT, STOP, Keys
+from scenarios.surfaces.overlay import panel_lines, strokes
+from scenarios.teleop_view import View
+from twin.arena import compile_world
+from twin.records import Array
+from twin.world import World
+
+START: Final = 30.0  # [s] for the viewer to come up
+SILENT: Final = 1.0  # [s] a page that runs sends its input with every picture it draws; a hidden or lost one does not
+STATE: Final = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+
+KEY_NAMES: Final = {
+    **{getattr(imgui.Key, letter.upper()): letter for letter in "wasdrqc"},
+    imgui.Key.N1: "1", imgui.Key.N2: "2", imgui.Key.N3: "3",
+    imgui.Key.Keypad1: "1", imgui.Key.Keypad2: "2", imgui.Key.Keypad3: "3",
+    imgui.Key.UpArrow: "up", imgui.Key.DownArrow: "down", imgui.Key.LeftArrow: "left", imgui.Key.RightArrow: "right",
+    imgui.Key.LeftShift: "shift", imgui.Key.RightShift: "shift", imgui.Key.Space: STOP,
+    imgui.Key.Enter: "enter", imgui.Key.KeypadEnter: "enter", imgui.Key.Backspace: "backspace",
+}  # fmt: skip
+
+
+class Cockpit(plugin.ViewerPlugin):  # type: ignore[misc]
+    """Lives on the viewer's thread: reads keys, follows the robot with the camera, draws panel and lines."""
+
+    def __init__(self) -> None:
+        """Before the viewer exists."""
+        self.ready = threading.Event()
+        self.last_frame = -math.inf  # [s] time.monotonic
+        self._lock = threading.Lock()
+        self._held: frozenset[str] = frozenset()
+        self._pressed: list[str] = []
+        self._view: View | None = None
+        self._drawn: View | None = None
+        self._from_above = False
+        self._azimuth: float | None = None  # [deg]
+
+    def take(self) -> Keys:
+        """For the session's thread: the keys since the last call."""
+        with self._lock:
+            pressed, self._pressed = tuple(self._pressed), []
+            return Keys(self._held, pressed)
+
+    def show(self, view: View) -> None:
+        """For the session's thread: what to draw from now on."""
+        with self._lock:
+            self._view = view
+
+    @messages.handler  # type: ignore[misc]
+    def on_init(self, event: plugin.ViewerInitEvent) -> None:
+        """The viewer is up."""
+        ux.setup_theme(ux.GuiTheme.DARK)
+        camera = event.viewer.camera
+        camera.type = int(mujoco.mjtCamera.mjCAMERA_FREE)
+        self.ready.set()
+
+    @messages.handler  # type: ignore[misc]
+    def on_build_gui(self, _: messages.BuildGuiEvent) -> None:
+        """Once per picture."""
+        held = {name for key, name in KEY_NAMES.items() if imgui.IsKeyDown(key)}
+        pressed = [name for key, name in KEY_NAMES.items() if imgui.IsKeyPressed(key, False)]
+        self._from_above ^= CAMERA in pressed
+        with self._lock:
+            self._held = frozenset(held)
+            self._pressed += pressed
+            view = self._view
+        self.last_frame = time.monotonic()
+        if view is not None:
+            self._aim(view)
+            if view is not self._drawn:
+                self._drawn = view
+                self.viewer.extra_geoms[:] = [_stroke(a, b, width, rgba) for a, b, width, rgba in strokes(view)]
+            _panel(view)
+
+    def _aim(self, view: View) -> None:
+        """The camera behind the robot, or high above it."""
+        pose, camera = view.frame.pose, self.viewer.camera
+        if self._azimuth is None:
+            self._azimuth = math.degrees(pose.yaw)
+        turn = math.remainder(math.degrees(pose.yaw) - self._azimuth, 360.0)
+        self._azimuth += 0.06 * turn  # lags behind, so that turning looks like turning
+        above = self._from_above
+        ahead = 0.0 if above else 0.9
+        camera.lookat[:] = (pose.x + ahead * math.cos(pose.yaw), pose.y + ahead * math.sin(pose.yaw), 0.0)
+        camera.azimuth = 90.0 if above else self._azimuth
+        camera.elevation, camera.distance = (-89.0, 10.0) if above else (-38.0, 4.2)
+
+
+def _stroke(a: Array, b: Array, width: float, rgba: Array) -> Any:
+    """A round line from a to b, (3,) world [m]."""
+    geom = mujoco.MjvGeom()
+    kind = mujoco.mjtGeom.mjGEOM_CAPSULE
+    mujoco.mjv_initGeom(geom, kind, [width, width, width], [0, 0, 0], [1, 0, 0, 0, 1, 0, 0, 0, 1], rgba)
+    mujoco.mjv_connector(geom, kind, width, a, b)
+    return geom
+
+
+def _panel(view: View) -> None:
+    """The status panel; it takes no input, so that no key is swallowed."""
+    flag = imgui.WindowFlags
+    flags = [flag.NoDecoration, flag.NoInputs, flag.NoNav, flag.NoSavedSettings, flag.NoFocusOnAppearing, flag.NoMove]
+    imgui.SetNextWindowPos(imgui.Vec2(16, 16))
+    imgui.SetNextWindowSize(imgui.Vec2(372, 0))
+    imgui.SetNextWindowBgAlpha(0.84)
+    imgui.Begin("appli teleop", None, sum(int(f) for f in flags))
+    for line in panel_lines(view):
+        if line.rule:
+            imgui.Separator()
+        if line.name:
+            imgui.TextDisabled(line.name)
+            imgui.SameLine(line.column)
+        imgui.PushStyleColor(imgui.Col.Text, imgui.Vec4(*line.rgba))
+        imgui.SetWindowFontScale(line.scale)
+        imgui.TextWrapped(line.text)
+        imgui.SetWindowFontScale(1.0)
+        imgui.PopStyleColor()
+    imgui.End()
+
+
+class StudioSurface:
+    """A running viewer, seen from the session's thread."""
+
+    def __init__(self, run: Callable[[Any, Cockpit], None], last_sign: Callable[[Cockpit], float]) -> None:
+        """Start the viewer and wait until it is up. `last_sign`: when [s] there last was somebody at the keys."""
+        self._cockpit = Cockpit()
+        self._last_sign = last_sign
+        self._error: Exception | None = None
+        viewer_end, self._end = launch_thread.make_thread_endpoints()
+
+        def target() -> None:
+            try:
+                run(viewer_end, self._cockpit)
+            except Exception as error:
+                self._error = error
+
+        self._thread = threading.Thread(target=target, daemon=True)
+        deadline = time.monotonic() + START
+        # Studio prints a banner that names all interfaces, and logs to stdout; ours is printed by the command.
+        with contextlib.redirect_stdout(io.StringIO()):
+            logging.getLogger("WebServer").setLevel(logging.WARNING)
+            self._thread.start()
+            while not self._cockpit.ready.wait(0.05) and self._thread.is_alive() and time.monotonic() < deadline:
+                pass
+        if not self._cockpit.ready.is_set():
+            self.close()
+            raise UserError(f"the viewer does not start: {self._error or 'no answer'}; try --surface terminal")
+
+    def poll(self) -> Keys:
+        """The keys; none, and `lost`, when the page is gone or hidden. A closed window means Q."""
+        if not self._thread.is_alive():
+            if self._error is not None:
+                raise UserError(f"the viewer stopped: {self._error}") from self._error
+            return Keys(pressed=(QUIT,))
+        keys = self._cockpit.take()
+        if time.monotonic() - self._last_sign(self._cockpit) > SILENT:
+            return Keys(lost=True)
+        return keys
+
+    def draw(self, view: View) -> None:
+        """Send the twin's state and the words about it."""
+        self._cockpit.show(view)
+        with contextlib.suppress(RuntimeError):  # the viewer has just closed; poll will tell
+            self._end.send_to_viewer(messages.StateSnapshot(state=view.frame.physics, state_sig=STATE))
+
+    def close(self) -> None:
+        """Stop viewer and server."""
+        with contextlib.suppress(RuntimeError):
+            self._end.send_to_viewer(messages.ExitEvent())
+        self._thread.join(5.0)
+        self._end.close()
+
+
+def open_window(world: World, lidar_mount: str) -> StudioSurface:
+    """A window on this machine's display."""
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise UserError("no display for a window here; use --surface web (a browser page) or --surface terminal")
+    model = compile_world(world, lidar_mount)
+    config = viewer_protocol.ViewerConfig(title="appli teleop", width=1280, height=800)
+
+    def run(end: Any, cockpit: Cockpit) -> None:
+        from mujoco.experimental.studio import native_viewer  # loads OpenGL
+
+        viewer_protocol.run_viewer_loop(native_viewer.NativeViewer(config, end, model=model, plugins=[cockpit]))
+
+    return StudioSurface(run, lambda cockpit: cockpit.last_frame)
+
+
+class Guard:
+    """Stands before Studio's web server: which requests get through, and when the driver's page last sent input."""
+
+    def __init__(self, address: str) -> None:
+        """For a server that listens on `address`."""
+        self._loopback = address.startswith("127.") or address == "::1"
+        self.last_input = -math.inf  # [s] time.monotonic
+
+    def refuses(self, request: Request) -> Response | None:
+        """403 for what no page of ours asks: uploads, other sites' scripts, and names rebound to this machine."""
+        host = request.headers.get("Host", "")
+        name = urlsplit(f"//{host}").hostname or ""
+        origin = request.headers.get("Origin")
+        foreign = origin is not None and urlsplit(origin).netloc != host
+        rebound = self._loopback and not (name in ("localhost", "::1") or name.startswith("127."))
+        if foreign or rebound or request.path.split("?")[0] == "/drop":
+            return Response(403, "Forbidden", Headers({"Content-Length": "0"}), b"")
+        return None
+
+    def around(self, serve: Callable[..., Any]) -> Callable[..., Any]:
+        """`websockets.serve` with the guard in front."""
+        guard = self
+
+        class Watched(ServerConnection):
+            async def recv(self, *args: Any, **kwargs: Any) -> Any:
+                message = await super().recv(*args, **kwargs)
+                if self.request is not None and self.request.path.startswith("/ui"):
+                    guard.last_input = time.monotonic()
+                return message
+
+        def guarded(handler: Any, *, process_request: Any, **options: Any) -> Any:
+            def check(connection: ServerConnection, request: Request) -> Any:
+                return guard.refuses(request) or process_request(connection, request)
+
+            return serve(handler, process_request=check, create_connection=Watched, **options)
+
+        return guarded
+
+
+def open_web(world: World, lidar_mount: str, address: str, port: int) -> tuple[StudioSurface, str]:
+    """A page that any browser can show, and its URL. Port 0 takes any free one."""
+    os.environ.pop("MUJOCO_WEB_VIEWER_DIST", None)  # Studio would serve any folder named here
+    from mujoco.experimental.studio import web_viewer
+    from mujoco.experimental.studio.web import web_server
+    from websockets.asyncio.server import serve
+
+    public = _listener(address, port)
+    port = public.getsockname()[1]
+    guard = Guard(address)
+    # Studio 3.17 has no option for the address; these two names are where its server gets its socket and its manners.
+    web_server.bind_public_socket = lambda host, port=0: public
+    web_server.serve = guard.around(serve)
+    model = compile_world(world, lidar_mount)
+    config = viewer_protocol.ViewerConfig(title="appli teleop", gfx="web", http_port=port)
+
+    def run(end: Any, cockpit: Cockpit) -> None:
+        viewer_protocol.run_viewer_loop(web_viewer.WebViewer(config, end, model=model, plugins=[cockpit]))
+
+    surface = StudioSurface(run, lambda cockpit: min(guard.last_input, cockpit.last_frame))
+    name = {"0.0.0.0": socket.gethostname(), "::": socket.gethostname()}.get(address, address)
+    return surface, f"http://{f'[{name}]' if ':' in name else name}:{port}/"
+
+
+def _listener(address: str, port: int) -> socket.socket:
+    """A socket bound to one address."""
+    listener = socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET, socket.SOCK_STREAM)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind((address, port))
+    except OSError as error:
+        listener.close()
+        reason = error.strerror or str(error)
+        raise UserError(f"cannot listen on {address} port {port}: {reason}; try --port 0 for any free port") from None
+    return listener
