@@ -13,12 +13,13 @@ PACKAGES = ("twin", "learning", "scenarios")
 # Who may import what of ours (prefixes). Everything may import itself and what stands below it.
 ALLOWED: dict[str, tuple[str, ...]] = {
     "twin.records": (),
+    "twin.compiled": (),
     "twin.geometry": ("twin.records",),
     "twin.world": ("twin.records", "twin.geometry"),
     "twin.free_space": ("twin.records", "twin.geometry", "twin.world"),
-    "twin.clearance": ("twin.free_space", "twin.records", "twin.geometry", "twin.world"),
+    "twin.clearance": ("twin.compiled", "twin.free_space", "twin.records", "twin.geometry", "twin.world"),
     "twin.robot": ("twin.robot", "twin.records", "twin.geometry"),
-    "twin.planner": ("twin.planner", "twin.records", "twin.geometry"),
+    "twin.planner": ("twin.planner", "twin.compiled", "twin.records", "twin.geometry"),
     "twin.columns": ("twin.records", "twin.world"),
     "twin.arena": ("twin.columns", "twin.world", "twin.robot", "twin.records", "twin.geometry"),
     "twin.simulation": (
@@ -42,7 +43,7 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     ),
     "twin": ("twin",),
     # the bystander of learning.intervener sees true poses and the true map: data, no physics
-    "learning": ("learning", "twin.planner", "twin.records", "twin.geometry", "twin.world", "twin.free_space"),
+    "learning": ("learning", "twin.planner", "twin.compiled", "twin.records", "twin.geometry", "twin.world", "twin.free_space"),
     "scenarios": ("scenarios", "learning", "twin"),
 }
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from twin.compiled import compiled
 from twin.free_space import ROBOT_TOP, mesh_points
 from twin.records import Array, Pose2
 from twin.world import Box, Cylinder, Mesh, World
@@ -37,7 +37,7 @@ class ClearanceGauge:
         return float(_clearance(self._discs, self._boxes, pose.x, pose.y, math.cos(pose.yaw), math.sin(pose.yaw)))
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@compiled
 def _clearance(discs: Array, boxes: Array, x: float, y: float, c: float, s: float) -> float:
     best = np.inf
     for i in range(discs.shape[0]):
@@ -55,7 +55,7 @@ def _clearance(discs: Array, boxes: Array, x: float, y: float, c: float, s: floa
     return max(best, 0.0)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@compiled
 def _rectangles(
     px: float, py: float, c: float, s: float, l1: float, w1: float, l0: float, w0: float, qx: float, qy: float
 ) -> float:

@@ -82,7 +82,7 @@ class ObstacleMap:
     origin: tuple[float, float]  # odom position of the lower-left corner of cell (0, 0) [m]
     resolution: float  # [m] per cell
     touched: tuple[float, float, float, float]  # bounds changed by this update: min x, min y, max x, max y [m, odom]
-    whole: bool = False  # True: everything may have changed (first map, or a clearing recovery)
+    whole: bool = False  # True: everything may have changed (a clearing recovery)
 
 
 @dataclass(frozen=True, slots=True)

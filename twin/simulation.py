@@ -1,9 +1,9 @@
-"""The sole owner of MuJoCo's model and data: a Jackal in a world that can be observed, commanded, saved and restored."""
+"""The sole owner of MuJoCo's model and data: a Jackal in a world that can be observed, driven, saved and restored."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import mujoco
@@ -36,9 +36,9 @@ class RobotConfig:
     """How the robot is simulated."""
 
     lidar_mount: str = "ust10"
-    lidar: LidarConfig = LidarConfig()
-    drive: DriveConfig = DriveConfig()
-    odometry: OdometryConfig = OdometryConfig()
+    lidar: LidarConfig = field(default_factory=LidarConfig)
+    drive: DriveConfig = field(default_factory=DriveConfig)
+    odometry: OdometryConfig = field(default_factory=OdometryConfig)
     timestep: float = 0.002  # [s] of the physics; divides 0.01
 
 
@@ -58,10 +58,10 @@ class Snapshot:
 class Simulation:
     """One robot in one world. Built fresh for every trial; there is no reset."""
 
-    def __init__(self, world: World, rng: np.random.Generator, config: RobotConfig = RobotConfig()) -> None:  # noqa: B008
+    def __init__(self, world: World, rng: np.random.Generator, config: RobotConfig = RobotConfig()) -> None:
         """Compile the world and put the robot at its start, at rest. `rng` drives all noise."""
         self.world = world
-        self.config = config
+        self.config = config = config or RobotConfig()
         self._rng = rng
         self._model = compile_world(world, config.lidar_mount, config.timestep)
         self._data = mujoco.MjData(self._model)
@@ -128,8 +128,8 @@ class Simulation:
             self._drive = drive.receive(self._drive, command)
         if clear_beyond is not None:
             pose = self._odometry.pose
-            self._local_map = clear_outside(self._local_map, pose, clear_beyond, enabled=True)
-            self._global_map = clear_outside(self._global_map, pose, clear_beyond, enabled=True)
+            self._local_map = clear_outside(self._local_map, pose, clear_beyond)
+            self._global_map = clear_outside(self._global_map, pose, clear_beyond)
         contact: Contact | None = None
         end = self._steps + round(TICK / self.config.timestep)
         while self._steps < end:

@@ -165,14 +165,9 @@ def test_marks_stay_where_they_are_in_odom_while_the_window_rolls() -> None:
     assert np.count_nonzero(layer.cells) == 1
 
 
-def test_the_clearing_recovery_is_off_on_the_jackal() -> None:
-    layer = see(empty_map(FIXED), (1.0, 1.0))
-    assert clear_outside(layer, HERE, 1.84) is layer
-
-
 def test_the_clearing_recovery_keeps_the_square_and_marks_the_whole_map_once() -> None:
     layer = see(empty_map(FIXED), (0.5, 0.5), (1.5, 1.5))
-    cleared = clear_outside(layer, HERE, 1.84, enabled=True)
+    cleared = clear_outside(layer, HERE, 1.84)
     assert cell(cleared, 0.5, 0.5) == 254
     assert cell(cleared, 1.5, 1.5) == 255
     # From cell trunc((0.01 - 0.92 + 4) / 0.05) = 61 to trunc((0.01 + 0.92 + 4) / 0.05) = 98, both excluded.

@@ -11,12 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from twin.planner.arcs import Score, total_cost
+from twin.compiled import compiled
+from twin.planner.arcs import Motion, Score, drive, total_cost
 from twin.planner.footprint import OFF_MAP as FOOTPRINT_OFF_MAP
 from twin.planner.footprint import _line_cost as line_cost
 from twin.planner.footprint import footprint_cost
-from twin.planner.grid import compiled, world_to_cell
-from twin.planner.sketch import OFF, Posture, Sketch, Start, certain_cell, posture
+from twin.planner.grid import world_to_cell
+from twin.planner.heap import Heap
+from twin.planner.sketch import OFF, Posture, Start, certain_cell, posture
 from twin.planner.trajectory_state import COLLISION, LEGAL, NO_PATH, OFF_MAP, Limits
 from twin.planner.wave import BLOCKED, Cells, Wave, grid_value, reach
 from twin.records import Array, Bytes
@@ -37,6 +39,20 @@ class Ground(NamedTuple):
     goal: Wave
 
 
+class Scratch(NamedTuple):
+    """Room for one search. `first` must hold -1 everywhere between calls."""
+
+    v: Array  # (vx_samples,) forward speeds [m/s]
+    w: Array  # (vtheta_samples,) the rates [rad/s] of a forward speed: straight on first
+    last: Cells  # (arcs,) wave cell of each candidate's last point, or -1
+    following: Cells  # (arcs,) the next arc with the same last cell, or -1
+    first: Cells  # ((ny + 2) * (nx + 2),) the first arc with that last cell, or -1
+    heap: Heap  # room for all arcs
+    visited: Cells  # (points,) cells of one arc
+    points: Array  # (points, 3) of one arc
+    footprint: Array  # (n, 2) [cells]
+
+
 class Rival(NamedTuple):
     """What an arc is up against: the parts of its own cost that are known, and the best cost so far."""
 
@@ -54,16 +70,14 @@ def loses(limits: Limits, rival: Rival, obstacle: int) -> bool:
 
 
 @compiled
-def outline_cost(ground: Ground, per_metre: float, at: Posture) -> int:
-    """`footprint_cost` at a posture in cells; ILLEGAL or UNDECIDED."""
-    size_y, size_x = ground.cells.shape
-    flat = ground.cells.ravel()
-    corners = ground.footprint.shape[0]
+def outline_cost(flat: Bytes, size_x: int, size_y: int, footprint: Array, at: Posture) -> int:
+    """`footprint_cost` at a posture in cells, for a footprint in cells; ILLEGAL or UNDECIDED."""
+    corners = footprint.shape[0]
     highest = 0
     first_x, first_y, before_x, before_y = 0, 0, 0, 0
     for k in range(corners + 1):
         if k < corners:
-            px, py = ground.footprint[k, 0] * per_metre, ground.footprint[k, 1] * per_metre
+            px, py = footprint[k, 0], footprint[k, 1]
             cx = certain_cell(at.x + (px * at.c - py * at.s), size_x)
             cy = certain_cell(at.y + (px * at.s + py * at.c), size_y)
             if cx < 0 or cy < 0:
@@ -86,35 +100,41 @@ def check_sketch(
     ground: Ground,
     limits: Limits,
     start: Start,
-    arc: Sketch,
     target_v: float,
     target_w: float,
     obstacle: int,
     rival: Rival,
+    footprint: Array,
     visited: Cells,
 ) -> int:
     """The highest cost byte of a legal arc whose first point is legal with byte `obstacle` and whose last point both
     waves have met; ILLEGAL, UNDECIDED or BEATEN.
 
-    `visited` has the first and gets the other points' cells.
+    `footprint` is in cells. `visited` has the first and gets the other points' cells.
     """
+    arc = sketch(limits, start, target_v, target_w)
+    if not arc.sane:
+        return UNDECIDED
     size_y, size_x = ground.cells.shape
-    flat = ground.cells.ravel()
-    width = ground.path.width
+    flat, path, goal = ground.cells.ravel(), ground.path.value, ground.goal.value
+    half = 0.5 * target_w * arc.dt
     last = arc.points - 1
     stride = 1
     while 2 * stride < last:
         stride *= 2
     k = last
     while k > 0:  # the last point first, then in ever smaller strides, so that a collision shows soon
-        at = posture(limits, start, arc, target_v, target_w, k)
+        if k < arc.ramp_steps:
+            at = posture(limits, start, arc, target_v, target_w, k)
+        else:
+            at = after_ramp(arc, half, k - arc.ramp_steps)
         cx, cy = certain_cell(at.x, size_x), certain_cell(at.y, size_y)
         if cx < 0 or cy < 0:
             return ILLEGAL if cx == OFF or cy == OFF else UNDECIDED
-        index = (cy + 1) * width + cx + 1
-        if ground.path.value[index] == BLOCKED or ground.goal.value[index] == BLOCKED:
+        index = (cy + 1) * (size_x + 2) + cx + 1
+        if path[index] == BLOCKED or goal[index] == BLOCKED:
             return ILLEGAL
-        outline = outline_cost(ground, start.per_metre, at)
+        outline = outline_cost(flat, size_x, size_y, footprint, at)
         if outline < 0:
             return outline
         highest = max(outline, int(np.int64(flat[cy * size_x + cx])))
@@ -158,6 +178,26 @@ def _connected(ground: Ground, visited: Cells, last: int) -> bool:
 @compiled
 def _passable(ground: Ground, index: int) -> bool:
     return ground.path.value[index] != BLOCKED and ground.goal.value[index] != BLOCKED
+
+
+@compiled
+def check_arc(
+    ground: Ground,
+    limits: Limits,
+    motion: Motion,
+    start: Start,
+    v: float,
+    w: float,
+    obstacle: int,
+    rival: Rival,
+    scratch: Scratch,
+) -> int:
+    """`check_sketch`, or `check_driven` where that cannot tell: a cost byte, or negative if illegal or beaten."""
+    found = check_sketch(ground, limits, start, v, w, obstacle, rival, scratch.footprint, scratch.visited)
+    if found == UNDECIDED:
+        score = check_driven(ground, limits, scratch.points, drive(limits, motion, v, w, scratch.points))
+        found = int(score.obstacle) if score.cost >= 0.0 else ILLEGAL
+    return found
 
 
 @compiled

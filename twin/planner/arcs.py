@@ -11,9 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from twin.compiled import compiled
 from twin.planner.footprint import OFF_MAP as FOOTPRINT_OFF_MAP
 from twin.planner.footprint import footprint_cost
-from twin.planner.grid import compiled, world_to_cell
+from twin.planner.grid import world_to_cell
 from twin.planner.trajectory_state import COLLISION, LEGAL, NO_PATH, OFF_MAP, Limits
 from twin.planner.wave import Cells
 from twin.records import Array, Bytes

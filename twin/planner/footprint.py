@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.planner.grid import LETHAL, NO_INFORMATION, compiled, world_to_cell
+from twin.compiled import compiled
+from twin.planner.grid import LETHAL, NO_INFORMATION, world_to_cell
 from twin.records import Array, Bytes, frozen_array
 
 JACKAL_FOOTPRINT = ((-0.21, -0.165), (-0.21, 0.165), (0.21, 0.165), (0.21, -0.165))

@@ -8,30 +8,17 @@ multiplication by the inverse puts points near a cell border into another cell t
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import TypeVar
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.compiled import compiled
 from twin.records import Bytes
 
 FREE = 0
 INSCRIBED = 253  # cost of a cell closer to an obstacle than the inscribed radius
 LETHAL = 254
 NO_INFORMATION = 255
-
-_Function = TypeVar("_Function", bound=Callable[..., object])
-
-
-def compiled(function: _Function) -> _Function:
-    """Numba machine code of `function`, cached on disk; IEEE division, no fastmath, so that results equal C++'s.
-
-    The cache notices a change of the function's own file only: after a change here, delete `__pycache__` of callers.
-    """
-    machine_code: _Function = numba.njit(cache=True, error_model="numpy")(function)
-    return machine_code
 
 
 @compiled

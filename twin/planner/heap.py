@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.planner.grid import compiled
+from twin.compiled import compiled
 from twin.records import Array
 
 

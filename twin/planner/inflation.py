@@ -10,8 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin.compiled import compiled
 from twin.planner.footprint import INSCRIBED_RADIUS
-from twin.planner.grid import FREE, NO_INFORMATION, cell_distance, clamped_axis_cell, compiled, eights
+from twin.planner.grid import FREE, NO_INFORMATION, cell_distance, clamped_axis_cell, eights
 from twin.planner.inflation_wave import Spread, spread, spread_tables
 from twin.planner.map_frame import NO_BOUNDS, Bounds, MapSpec, shifted
 from twin.records import Bytes, ObstacleMap, frozen_array

@@ -16,7 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.planner.grid import INSCRIBED, LETHAL, NO_INFORMATION, compiled, eights
+from twin.compiled import compiled
+from twin.planner.grid import INSCRIBED, LETHAL, NO_INFORMATION, eights
 from twin.records import Bytes, frozen_array
 
 Levels = NDArray[np.uint16] | NDArray[np.uint32]

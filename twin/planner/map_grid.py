@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin.compiled import compiled
 from twin.planner.footprint import FOOTPRINT, footprint_cells, raster_capacity
-from twin.planner.grid import NO_INFORMATION, cell_to_world, compiled, world_to_cell
+from twin.planner.grid import NO_INFORMATION, cell_to_world, world_to_cell
 from twin.planner.inflation import Costmap
 from twin.planner.wave import BLOCKED, UNMET, Cells, Wave, clear, empty_wave, finish, seed
 from twin.records import Array, Bytes, Pose2, frozen_array

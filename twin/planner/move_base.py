@@ -12,8 +12,7 @@ import math
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
-from numba import njit
-
+from twin.compiled import compiled
 from twin.geometry import shortest_angle
 from twin.planner.controller import set_plan
 from twin.planner.footprint import FOOTPRINT, footprint_cost
@@ -248,7 +247,7 @@ def _rotation_is_legal(local: Costmap, pose: Pose2, left: float) -> bool:
     return bool(_turn_is_legal(local.cells, x, y, local.resolution, pose.x, pose.y, pose.yaw, left, FOOTPRINT))
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@compiled
 def _turn_is_legal(
     cells: Bytes,
     origin_x: float,

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.planner.grid import compiled
+from twin.compiled import compiled
 from twin.planner.navfn_wave import UNREACHED, Potentials
 
 NEUTRAL = 50.0  # COST_NEUTRAL: below it the trace has arrived

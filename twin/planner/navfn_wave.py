@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.planner.grid import INSCRIBED, NO_INFORMATION, compiled
+from twin.compiled import compiled
+from twin.planner.grid import INSCRIBED, NO_INFORMATION
 from twin.records import Bytes, frozen_array
 
 Potentials = NDArray[np.float32]

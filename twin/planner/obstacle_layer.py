@@ -13,8 +13,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.compiled import compiled
 from twin.planner.footprint import FOOTPRINT, footprint_cells, raster_capacity
-from twin.planner.grid import FREE, LETHAL, NO_INFORMATION, cell_distance, compiled, world_to_cell
+from twin.planner.grid import FREE, LETHAL, NO_INFORMATION, cell_distance, world_to_cell
 from twin.planner.map_frame import (
     GLOBAL_MAP,
     LOCAL_MAP,
@@ -145,14 +146,11 @@ def update_obstacles(
     return ObstacleMap(frozen_array(cells), origin, spec.resolution, (min_x, min_y, max_x, max_y))
 
 
-def clear_outside(previous: ObstacleMap, pose: Pose2, reset_distance: float, *, enabled: bool = False) -> ObstacleMap:
+def clear_outside(previous: ObstacleMap, pose: Pose2, reset_distance: float) -> ObstacleMap:
     """The clear-costmap recovery: forget everything but a square of side `reset_distance` [m] round the robot.
 
-    Forgotten cells become 255, which the costmap ignores, and the next update covers the whole map. Off by default:
-    the recovery looks for a layer called "obstacles" and the Jackal's is "obstacles_layer", so nothing is cleared.
+    Forgotten cells become 255, which the costmap ignores, and the next update covers the whole map.
     """
-    if not enabled:
-        return previous
     ny, nx = previous.cells.shape
     half = reset_distance / 2
     (origin_x, origin_y), resolution = previous.origin, previous.resolution

@@ -14,9 +14,13 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.compiled import compiled
 from twin.planner.arcs import ramp, step_count
-from twin.planner.grid import compiled
 from twin.planner.trajectory_state import Limits
+from twin.records import Array
 
 DOUBT = 1e-6  # [cells] a hundred times the error; one arc in a thousand or so passes so close to a border
 FARTHEST = 1e4  # [m] from the frame's zero; beyond it f64 is too coarse for DOUBT
@@ -118,12 +122,17 @@ def _ramp(limits: Limits, start: Start, target_v: float, target_w: float, dt: fl
 @compiled
 def posture(limits: Limits, start: Start, arc: Sketch, target_v: float, target_w: float, k: int) -> Posture:
     """Point k of an arc."""
-    steps = k - arc.ramp_steps
-    if steps < 0:
+    if k < arc.ramp_steps:
         return _ramp(limits, start, target_v, target_w, arc.dt, k)[1]
+    return after_ramp(arc, 0.5 * target_w * arc.dt, k - arc.ramp_steps)
+
+
+@compiled
+def after_ramp(arc: Sketch, half: float, steps: int) -> Posture:
+    """The point so many steps after the ramp; `half` [rad] is half the turn of one step."""
     at = arc.after_ramp
     # The sum of m unit steps, each turned by 2h, is sin(m h) / sin(h) long and points along (m - 1) h.
-    s, c = sin_cos(steps * (0.5 * target_w * arc.dt))
+    s, c = sin_cos(steps * half)
     length = arc.step * (s / arc.half_s if abs(arc.half_s) > 1e-12 else float(steps))
     along_c, along_s = c * arc.half_c + s * arc.half_s, s * arc.half_c - c * arc.half_s
     turn_c, turn_s = 1.0 - 2.0 * s * s, 2.0 * s * c
@@ -142,3 +151,26 @@ def certain_cell(position: float, size: int) -> int:
         return OFF if position < -DOUBT or position > size + DOUBT else UNCERTAIN
     cell = int(position)
     return cell if DOUBT < position - cell < 1.0 - DOUBT else UNCERTAIN
+
+
+@compiled
+def last_cells(
+    limits: Limits, start: Start, v: Array, w: Array, size_x: int, size_y: int, found: NDArray[np.int32]
+) -> None:
+    """The wave cell (see `wave.py`) of the last point of every candidate (v[i], w[j]), to `found`[i * len(w) + j].
+
+    OFF the map or UNCERTAIN where there is none. This loop sees every arc: it gets numbers only, because handing arrays
+    on to a function costs more than all it does here.
+    """
+    for i in range(len(v)):
+        for j in range(len(w)):
+            arc = sketch(limits, start, v[i], w[j])
+            cell = UNCERTAIN
+            if arc.sane:
+                at = posture(limits, start, arc, v[i], w[j], arc.points - 1)
+                cx, cy = certain_cell(at.x, size_x), certain_cell(at.y, size_y)
+                if cx == OFF or cy == OFF:
+                    cell = OFF
+                elif cx >= 0 and cy >= 0:
+                    cell = (cy + 1) * (size_x + 2) + cx + 1
+            found[i * len(w) + j] = cell

@@ -13,7 +13,7 @@ import numpy as np
 
 from twin.geometry import normalize_angle
 from twin.planner.arc_check import Ground
-from twin.planner.arc_search import Scratch, search
+from twin.planner.arc_search import scratch_for, search
 from twin.planner.arcs import (
     TABLE_COLUMNS,
     Costs,
@@ -27,9 +27,8 @@ from twin.planner.arcs import (
     velocity_window,
 )
 from twin.planner.footprint import FOOTPRINT
-from twin.planner.heap import empty_heap
 from twin.planner.inflation import Costmap
-from twin.planner.map_grid import MapGrids, goal_centre, map_grids, plan_points, raster_scratch, read_only, start_waves
+from twin.planner.map_grid import MapGrids, goal_centre, map_grids, plan_points, read_only
 from twin.planner.params import PlannerParams
 from twin.planner.sketch import FARTHEST
 from twin.planner.trajectory_state import (
@@ -42,7 +41,6 @@ from twin.planner.trajectory_state import (
     from_ros_values,
     limits_of,
 )
-from twin.planner.wave import empty_wave
 from twin.records import Array, Command, Pose2, Twist2, frozen_array
 
 __all__ = [
@@ -162,55 +160,18 @@ def _searched(
     costmap: Costmap, start: Motion, plan: Array, limits: Limits, window: Window, flags: PlannerFlags
 ) -> tuple[BestPath, bool]:
     """The same answer without scoring every candidate."""
-    size_y, size_x = costmap.cells.shape
-    arcs = limits.vx_samples * limits.vtheta_samples
-    points = longest_arc(limits, window)
-    ground = Ground(
-        read_only(costmap.cells),
-        *costmap.origin,
-        costmap.resolution,
-        FOOTPRINT,
-        empty_wave(size_y, size_x),
-        empty_wave(size_y, size_x),
+    path, goal, raster, scratch = scratch_for(
+        costmap.cells.shape, costmap.resolution, limits, longest_arc(limits, window), len(FOOTPRINT)
     )
-    scratch = Scratch(
-        np.empty(arcs, dtype=np.int32),
-        np.empty(arcs, dtype=np.int32),
-        np.full((size_y + 2) * (size_x + 2), -1, dtype=np.int32),
-        empty_heap(arcs),
-        np.empty(limits.vx_samples),
-        np.empty(limits.vtheta_samples),
-        np.empty(points, dtype=np.int32),
-        np.empty((points, 3)),
-    )
-    local_goal = start_waves(
-        ground.path,
-        ground.goal,
-        ground.cells,
-        ground.origin_x,
-        ground.origin_y,
-        ground.resolution,
-        start.x,
-        start.y,
-        start.yaw,
-        FOOTPRINT,
-        raster_scratch(ground.resolution),
-        plan_points(plan),
-    )
-    v, w, score, is_backup = search(
-        ground, limits, window, start, flags.escaping, flags.stuck_left, flags.stuck_right, scratch
-    )
+    ground = Ground(read_only(costmap.cells), *costmap.origin, costmap.resolution, FOOTPRINT, path, goal)
+    v, w, score, is_backup, local_goal = search(
+        ground, limits, window, start, flags.escaping, flags.stuck_left, flags.stuck_right,
+        plan_points(plan), raster, scratch,
+    )  # fmt: skip
     best = BestPath(
-        v,
-        0.0,
-        w,
-        _backed_up(score.cost, is_backup),
-        frozen_array(scratch.points[: score.points].copy()),
-        score.path,
-        score.goal,
-        score.obstacle,
-        goal_centre(costmap, local_goal),
-    )
+        v, 0.0, w, _backed_up(score.cost, is_backup), frozen_array(scratch.points[: score.points].copy()),
+        score.path, score.goal, score.obstacle, goal_centre(costmap, local_goal),
+    )  # fmt: skip
     return best, is_backup
 
 

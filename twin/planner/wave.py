@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.planner.grid import INSCRIBED, compiled
+from twin.compiled import compiled
+from twin.planner.grid import INSCRIBED
 from twin.records import Bytes
 
 Cells = NDArray[np.int32]

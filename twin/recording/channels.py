@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
+from twin.geometry import distance
 from twin.recording import drawing, palette
 from twin.records import Array, Pose2, Tick
 
@@ -73,6 +74,8 @@ def scalars_of(tick: Tick) -> Iterator[tuple[str, float]]:
 def events_of(tick: Tick, before: Tick | None) -> Iterator[tuple[str, str]]:
     """(text, level) of what happened at one tick that is worth a line in the log."""
     decision = tick.decision
+    if before is None:
+        yield f"start, {distance(tick.observation.pose, tick.observation.goal):.1f} m to the goal", rr.TextLogLevel.INFO
     if decision.recoveries > (0 if before is None else before.decision.recoveries):
         yield f"recovery {decision.recoveries}: {decision.state}", rr.TextLogLevel.WARN
     if before is not None and decision.context != before.decision.context:

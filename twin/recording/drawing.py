@@ -123,4 +123,3 @@ def _multiply(a: Array, b: Array) -> Array:
         ],
         axis=-1,
     )
-
