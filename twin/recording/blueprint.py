@@ -22,11 +22,13 @@ CAMERA = (-1.15, 0.45, 0.95)  # [m] of the robot view, in base_link
 PLOTS: dict[str, dict[str, tuple[str, RGB, float]]] = {  # plot: entity: (name, colour, line width)
     "speed [m/s]": {
         "odometry/v": ("measured", palette.MEASURED, 1.6),
-        "command/planner/v": ("command", palette.COMMANDED, 1.0),
+        "command/planner/v": ("planner", palette.COMMANDED, 1.0),
+        "command/human/v": ("human", palette.HUMAN, 1.4),
     },
     "turn rate [rad/s]": {
         "odometry/w": ("measured", palette.MEASURED, 1.6),
-        "command/planner/w": ("command", palette.COMMANDED, 1.0),
+        "command/planner/w": ("planner", palette.COMMANDED, 1.0),
+        "command/human/w": ("human", palette.HUMAN, 1.4),
     },
     "clearance [m]": {"clearance": ("to obstacles", palette.CLEARANCE, 1.6)},
     "confidence": {"appli/confidence": ("confidence", palette.CONFIDENCE, 1.6)},

@@ -52,9 +52,11 @@ def rows_of(ticks: Sequence[Tick], before: Tick | None) -> Iterator[Rows]:
 def scalars_of(tick: Tick) -> Iterator[tuple[str, float]]:
     """(entity, value) of everything that is plotted for one tick."""
     decision = tick.decision
-    if decision.command is not None:
-        yield "command/planner/v", decision.command.v
-        yield "command/planner/w", decision.command.w
+    commands = {"planner": decision.command, "human": tick.override, "applied": tick.applied}
+    for source, command in commands.items():
+        if command is not None:
+            yield f"command/{source}/v", command.v
+            yield f"command/{source}/w", command.w
     yield "odometry/v", tick.observation.twist.v
     yield "odometry/w", tick.observation.twist.w
     yield "clearance", tick.clearance

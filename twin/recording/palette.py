@@ -49,9 +49,9 @@ STATES: dict[str, RGB] = {
     "aborted": (150, 40, 60),
 }
 
-# Measured against commanded: the same hue, the command paler.
 MEASURED: RGB = (92, 184, 255)
 COMMANDED: RGB = (255, 214, 102)
+HUMAN: RGB = (255, 120, 117)
 CLEARANCE: RGB = (99, 230, 150)
 CONFIDENCE: RGB = (164, 133, 255)
 

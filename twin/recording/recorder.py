@@ -44,8 +44,9 @@ class Recorder:
         self._stream.save(self._sink.rerun_path)
         self._sink.opened()
         self._stream.send_recording_name(self._title())
+        self._stream.flush()  # properties go through a batcher: without this their order in the file would vary
         self._stream.send_property("run", rr.AnyValues(**{k: str(v) for k, v in self.metadata.items()}))
-        self._stream.flush()  # properties go through a batcher: without this their place in the file would vary
+        self._stream.flush()
         draw_world(self._stream, world)
         draw_robot(self._stream)
         style_plots(self._stream)
