@@ -18,7 +18,7 @@ from twin.planner.footprint import _line_cost as line_cost
 from twin.planner.footprint import footprint_cost
 from twin.planner.grid import world_to_cell
 from twin.planner.heap import Heap
-from twin.planner.sketch import OFF, Posture, Start, certain_cell, posture
+from twin.planner.sketch import OFF, Posture, Start, after_ramp, certain_cell, posture, sketch
 from twin.planner.trajectory_state import COLLISION, LEGAL, NO_PATH, OFF_MAP, Limits
 from twin.planner.wave import BLOCKED, Cells, Wave, grid_value, reach
 from twin.records import Array, Bytes
