@@ -28,6 +28,7 @@ from mujoco.experimental.dear_imgui import dear_imgui as imgui
 from mujoco.experimental.studio import launch_thread, messages, plugin, ux, viewer_protocol
 from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from scenarios.errors import UserError
@@ -39,7 +40,7 @@ from twin.records import Array
 from twin.world import World
 
 START: Final = 30.0  # [s] for the viewer to come up
-SILENT: Final = 1.0  # [s] a page that runs sends its input with every picture it draws; a hidden or lost one does not
+SILENT: Final = 2.0  # [s] a page sends its input with every picture it draws, slow machines one a second; hidden, none
 STATE: Final = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
 KEY_NAMES: Final = {
@@ -242,8 +243,14 @@ class Guard:
 
         class Watched(ServerConnection):
             async def recv(self, *args: Any, **kwargs: Any) -> Any:
-                message = await super().recv(*args, **kwargs)
-                if self.request is not None and self.request.path.startswith("/ui"):
+                driver = self.request is not None and self.request.path.startswith("/ui")
+                try:
+                    message = await super().recv(*args, **kwargs)
+                except ConnectionClosed:
+                    if driver:
+                        guard.last_input = -math.inf  # at once, without waiting for silence
+                    raise
+                if driver:
                     guard.last_input = time.monotonic()
                 return message
 
