@@ -142,7 +142,8 @@ def _overrides() -> dict[str, Any]:
 
 
 def _lanes() -> rrb.StateTimelineView:
-    return rrb.StateTimelineView(origin="/", contents=["planner/state", "appli/context"], name="states")
+    lanes = ["planner/state", "appli/context"]
+    return rrb.StateTimelineView(origin="/", contents=lanes, name="states", time_view=_whole_run())
 
 
 def _events() -> rrb.TextLogView:
@@ -155,6 +156,12 @@ def _plot(name: str) -> rrb.TimeSeriesView:
         origin="/",
         contents=list(PLOTS[name]),
         name=name,
-        axis_x=rrb.TimeAxis(link="LinkToGlobal"),
+        axis_x=_whole_run(),
         plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
     )
+
+
+def _whole_run() -> rrb.TimeAxis:
+    """A time axis over everything; left to itself a plot scrolls with the cursor and shows the last minute."""
+    everything = rrb.TimeRange(rrb.TimeRangeBoundary.infinite(), rrb.TimeRangeBoundary.infinite())
+    return rrb.TimeAxis(view_range=everything)
