@@ -28,8 +28,8 @@ MODE_COLOURS: Final[dict[Mode, Rgba]] = {
 PATH: Final = np.array([0.20, 0.62, 1.00, 0.9], dtype=np.float32)
 SCAN: Final = np.array([0.95, 0.25, 0.20, 1.0], dtype=np.float32)
 TRAIL: Final = np.array([1.00, 0.55, 0.20, 1.0], dtype=np.float32)
-STRIDE: Final = 0.12  # [m] between the points of drawn lines
-SCAN_EVERY: Final = 4  # beams per dot
+STRIDE: Final = 0.25  # [m] between the points of drawn lines
+SCAN_EVERY: Final = 6  # beams per dot
 
 
 @dataclass(frozen=True, slots=True)
