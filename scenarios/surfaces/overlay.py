@@ -14,6 +14,7 @@ from scenarios.teleop_view import Mode, View
 from twin.records import Array
 
 Rgba = tuple[float, float, float, float]
+Stroke = tuple[Array, Array, float, Rgba]  # from, to (3,) world [m], radius [m], colour
 
 WHITE: Final[Rgba] = (0.93, 0.94, 0.96, 1.0)
 GREY: Final[Rgba] = (0.66, 0.69, 0.74, 1.0)
@@ -25,9 +26,9 @@ MODE_COLOURS: Final[dict[Mode, Rgba]] = {
     Mode.WAITING: (0.78, 0.62, 1.00, 1.0),
     Mode.ENDED: (0.62, 0.86, 0.55, 1.0),
 }
-PATH: Final = np.array([0.20, 0.62, 1.00, 0.9], dtype=np.float32)
-SCAN: Final = np.array([0.95, 0.25, 0.20, 1.0], dtype=np.float32)
-TRAIL: Final = np.array([1.00, 0.55, 0.20, 1.0], dtype=np.float32)
+PATH: Final[Rgba] = (0.20, 0.62, 1.00, 0.9)
+SCAN: Final[Rgba] = (0.95, 0.25, 0.20, 1.0)
+TRAIL: Final[Rgba] = (1.00, 0.55, 0.20, 1.0)
 STRIDE: Final = 0.25  # [m] between the points of drawn lines
 SCAN_EVERY: Final = 6  # beams per dot
 
@@ -81,8 +82,8 @@ def panel_lines(view: View) -> Iterator[Line]:
         yield Line(what, GREY, key, 140.0, rule=index == 0)
 
 
-def strokes(view: View) -> Iterator[tuple[Array, Array, float, Array]]:
-    """(from, to, radius, rgba) of the lines in the scene: path, intervention and scan; (3,) world [m]."""
+def strokes(view: View) -> Iterator[Stroke]:
+    """The lines in the scene: path, intervention and scan."""
     sight = view.frame.sight
     if sight is not None:
         yield from _polyline(_thinned(sight.path_points()), 0.03, 0.018, PATH)
@@ -99,10 +100,11 @@ def _thinned(points: Array) -> Array:
         return points
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
     first = np.unique(np.searchsorted(along, np.arange(0.0, along[-1], STRIDE)))
-    return points[np.append(first, len(points) - 1)]
+    kept: Array = points[np.append(first, len(points) - 1)]
+    return kept
 
 
-def _polyline(points: Array, height: float, radius: float, rgba: Array) -> Iterator[tuple[Array, Array, float, Array]]:
+def _polyline(points: Array, height: float, radius: float, rgba: Rgba) -> Iterator[Stroke]:
     lifted = np.column_stack([points, np.full(len(points), height)])
     for a, b in pairwise(lifted):
         yield a, b, radius, rgba

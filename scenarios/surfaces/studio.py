@@ -33,7 +33,7 @@ from websockets.http11 import Request, Response
 
 from scenarios.errors import UserError
 from scenarios.keyboard import CAMERA, QUIT, STOP, Keys
-from scenarios.surfaces.overlay import panel_lines, strokes
+from scenarios.surfaces.overlay import Rgba, panel_lines, strokes
 from scenarios.teleop_view import View
 from twin.arena import compile_world
 from twin.records import Array
@@ -79,7 +79,7 @@ class Cockpit(plugin.ViewerPlugin):  # type: ignore[misc]
         with self._lock:
             self._view = view
 
-    @messages.handler  # type: ignore[misc]
+    @messages.handler  # type: ignore[untyped-decorator]
     def on_init(self, event: plugin.ViewerInitEvent) -> None:
         """The viewer is up."""
         ux.setup_theme(ux.GuiTheme.DARK)
@@ -87,7 +87,7 @@ class Cockpit(plugin.ViewerPlugin):  # type: ignore[misc]
         camera.type = int(mujoco.mjtCamera.mjCAMERA_FREE)
         self.ready.set()
 
-    @messages.handler  # type: ignore[misc]
+    @messages.handler  # type: ignore[untyped-decorator]
     def on_build_gui(self, _: messages.BuildGuiEvent) -> None:
         """Once per picture."""
         held = {name for key, name in KEY_NAMES.items() if imgui.IsKeyDown(key)}
@@ -119,11 +119,11 @@ class Cockpit(plugin.ViewerPlugin):  # type: ignore[misc]
         camera.elevation, camera.distance = (-89.0, 10.0) if above else (-38.0, 4.2)
 
 
-def _stroke(a: Array, b: Array, width: float, rgba: Array) -> Any:
+def _stroke(a: Array, b: Array, width: float, rgba: Rgba) -> Any:
     """A round line from a to b, (3,) world [m]."""
     geom = mujoco.MjvGeom()
     kind = mujoco.mjtGeom.mjGEOM_CAPSULE
-    mujoco.mjv_initGeom(geom, kind, [width, width, width], [0, 0, 0], [1, 0, 0, 0, 1, 0, 0, 0, 1], rgba)
+    mujoco.mjv_initGeom(geom, kind, [width, width, width], [0, 0, 0], [1, 0, 0, 0, 1, 0, 0, 0, 1], list(rgba))
     mujoco.mjv_connector(geom, kind, width, a, b)
     return geom
 
