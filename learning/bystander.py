@@ -23,13 +23,14 @@ from twin.records import Array, Pose2
 TICK = 0.05  # [s]
 
 STUCK_TIME, STUCK_PROGRESS = 5.0, 0.25  # A: less than 0.25 m towards the goal in 5 s
-BACK_TIME, BACK_SPEED = 0.3, -0.10  # A: drives backwards for 0.3 s
+BACK_WITHIN, BACK_TIME, BACK_SPEED = 6.0, 0.7, -0.10  # A: drives backwards for 0.7 of the last 6 s
 SPIN_TIME, SPIN_ANGLE, SPIN_REACH = 4.0, 1.25 * math.pi, 0.15  # A: turns 225 degrees on the spot within 4 s
 CRASH_TIME, CRASH_GAP = 0.5, 0.21  # A: half a second from touching, its centre 0.21 m from something
 SLOW_TIME, SLOW_SHARE = 3.0, 0.6  # B: for 3 s below 60 % of the speed that the room allows ...
 OPEN_AHEAD, OPEN_SIDE = 2.5, 0.8  # ... where 2.5 m ahead are free and 0.8 m around: "open"
 OPEN_SPEED = 1.5  # [m/s] what a person would drive there
-SHAKE_TIME, SHAKE_COUNT, SHAKE_RATE = 4.0, 3, 0.25  # B: three reversals of a turn of 0.25 rad/s and more within 4 s ...
+SHAKE_TIME, SHAKE_COUNT, SHAKE_RATE = 4.0, 3, 0.25  # B: three reversals of a turn of 0.25 rad/s and more within 4 s,
+STUTTER_TIME = 0.15  # [s] or a short step back, ...
 NARROW_AHEAD, NARROW_SIDE = 1.0, 0.45  # ... while something narrower than 0.45 m to a side lies within 1 m ahead
 GOOD_PACE = 0.12  # [m/s] towards the goal: slower is trouble already begun
 EDGE = 0.5  # [s] how far before its first sign trouble is said to have begun
@@ -103,8 +104,8 @@ class Bystander:
         return None
 
     def _backs_up(self) -> bool:
-        recent = _last(self._v, BACK_TIME)
-        return len(recent) > 0 and max(recent) < BACK_SPEED
+        recent = self._v[-round(BACK_WITHIN / TICK) :]
+        return recent[-1] < BACK_SPEED and sum(v < BACK_SPEED for v in recent) * TICK >= BACK_TIME - 1e-9
 
     def _spins(self) -> bool:
         recent = _last(self._w, SPIN_TIME)
@@ -142,7 +143,10 @@ class Bystander:
 
     def _shakes(self) -> bool:
         recent = _last(self._w, SHAKE_TIME)
-        return len(recent) > 0 and reversals(recent, SHAKE_RATE) >= SHAKE_COUNT and self._narrow_ahead()
+        if len(recent) == 0 or not self._narrow_ahead():
+            return False
+        stutters = sum(v < BACK_SPEED for v in self._v[-len(recent) :]) * TICK >= STUTTER_TIME - 1e-9
+        return stutters or reversals(recent, SHAKE_RATE) >= SHAKE_COUNT
 
     def _narrow_ahead(self) -> bool:
         pose = self._seen[-1].pose

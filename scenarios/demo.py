@@ -31,7 +31,7 @@ def demo_command(out: Path, seed: int) -> int:
         path = out / f"{name.replace('/', '-')}.rrd"
         began = time.perf_counter()
         metadata = {"world": world.name, "driver": spec.driver, "seed": seed, "protocol": spec.protocol}
-        with blame(f"cannot write the recording {path}"), Recorder(path, world, metadata) as recorder:
+        with blame(), Recorder(path, world, metadata) as recorder:
             result = run_trial(spec, world, recorder.add, explain=True)
         wall = time.perf_counter() - began
         table.add_row(

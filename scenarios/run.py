@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as json_module
+import math
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -65,7 +66,7 @@ def summary(world: World, result: TrialResult, real_time_factor: float, record: 
     """Three lines a person wants after a run."""
     lines = [
         f"{world.name}: {result.outcome.value} after {result.time:.2f} s, {result.distance:.1f} m driven, "
-        f"{result.recoveries} recoveries, closest {result.min_clearance:.2f} m ({real_time_factor:.0f} x real time)"
+        f"{result.recoveries} recoveries, {_closest(result.min_clearance)} ({real_time_factor:.0f} x real time)"
     ]
     if result.contact is not None:
         hit = result.contact
@@ -75,6 +76,10 @@ def summary(world: World, result: TrialResult, real_time_factor: float, record: 
     return "\n".join(lines)
 
 
+def _closest(clearance: float) -> str:
+    return f"closest {clearance:.2f} m" if math.isfinite(clearance) else "nothing near"
+
+
 def _run_watched(spec: TrialSpec, world: World, record: Path | None, quiet: bool) -> TrialResult:
     """Run with a recorder and a progress line attached as asked; Ctrl-C closes the recording first."""
     watchers: list[Callable[[Tick], Any]] = [] if quiet else [_progress]
@@ -82,7 +87,7 @@ def _run_watched(spec: TrialSpec, world: World, record: Path | None, quiet: bool
         if record is not None:
             from twin.recording import Recorder
 
-            with blame(f"cannot write the recording {record}"):
+            with blame():
                 metadata = {"world": world.name, "driver": spec.driver, "seed": spec.seed, "protocol": spec.protocol}
                 recorder = stack.enter_context(Recorder(record, world, metadata))
             watchers.append(recorder.add)

@@ -43,7 +43,15 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     ),
     "twin": ("twin",),
     # the bystander of learning.intervener sees true poses and the true map: data, no physics
-    "learning": ("learning", "twin.planner", "twin.compiled", "twin.records", "twin.geometry", "twin.world", "twin.free_space"),
+    "learning": (
+        "learning",
+        "twin.planner",
+        "twin.compiled",
+        "twin.records",
+        "twin.geometry",
+        "twin.world",
+        "twin.free_space",
+    ),
     "scenarios": ("scenarios", "learning", "twin"),
 }
 
@@ -56,7 +64,7 @@ DOORWAYS: dict[str, tuple[str, ...]] = {
     "distributed": ("scenarios.sweep",),
     "dask": ("scenarios.sweep",),
     "matplotlib": ("scenarios.report", "scenarios.pictures"),
-    "mujoco": ("twin.simulation", "twin.arena", "twin.robot"),
+    "mujoco": ("twin.simulation", "twin.arena", "twin.robot", "scenarios.surfaces.studio"),  # Studio comes with mujoco
     "dm_control": ("twin.arena", "twin.robot"),
 }
 

@@ -64,10 +64,11 @@ def test_standing_still_is_trouble_after_its_time_and_not_before(seconds: float)
 
 def test_backing_up_is_trouble() -> None:
     there = straight(0.5, 4.0)
-    back = [Pose2(there[-1].x - 0.3 * TICK * k, 0.0, 0.0) for k in range(1, 9)]
+    back = [Pose2(there[-1].x - 0.3 * TICK * k, 0.0, 0.0) for k in range(1, 17)]
     trouble = watch(hall(*DOOR), there + back).urgent()
     assert trouble is not None
     assert trouble.reason == "drives backwards"
+    assert watch(hall(*DOOR), there + back[:5]).urgent() is None, "one short step back is not yet trouble"
 
 
 def test_spinning_is_trouble() -> None:
