@@ -99,7 +99,7 @@ def corridor_scene(index: int, radius: float) -> Scene:
         [robot[0] + math.cos(turn) * s - math.sin(turn) * t, robot[1] + math.sin(turn) * s + math.cos(turn) * t], axis=1
     )
     slope = bend * math.tau / wave * math.cos(phase)
-    pose = Pose2(*robot.tolist(), turn + math.atan(slope) + rng.uniform(-0.2, 0.2))
+    pose = Pose2(float(robot[0]), float(robot[1]), turn + math.atan(slope) + rng.uniform(-0.2, 0.2))
     layer = ObstacleMap(
         frozen_array(np.where(lethal, 254, 0).astype(np.uint8)), (0.0, 0.0), RESOLUTION, (0.0, 0.0, side, side), True
     )

@@ -177,7 +177,7 @@ def _connected(ground: Ground, visited: Cells, last: int) -> bool:
 
 @compiled
 def _passable(ground: Ground, index: int) -> bool:
-    return ground.path.value[index] != BLOCKED and ground.goal.value[index] != BLOCKED
+    return bool(ground.path.value[index] != BLOCKED and ground.goal.value[index] != BLOCKED)
 
 
 @compiled

@@ -159,7 +159,8 @@ def start_waves(
     if goal_x < 0:
         return -1
     seed(goal, (goal_y + 1) * goal.width + goal_x + 1)
-    return goal_y * size_x + goal_x
+    flat: int = goal_y * size_x + goal_x
+    return flat
 
 
 @compiled

@@ -82,6 +82,7 @@ def _cell_ahead(ground: Ground, limits: Limits, motion: Motion, start: Start, ra
     """The wave cell that lies heading_lookahead beyond the last point of a turn in place; OFF the map."""
     size_y, size_x = ground.cells.shape
     arc = sketch(limits, start, 0.0, rate)
+    width: int = size_x + 2
     if arc.sane:
         end = posture(limits, start, arc, 0.0, rate, arc.points - 1)
         ahead = limits.heading_lookahead * start.per_metre
@@ -89,7 +90,7 @@ def _cell_ahead(ground: Ground, limits: Limits, motion: Motion, start: Start, ra
         if cx == OFF or cy == OFF:
             return OFF
         if cx >= 0 and cy >= 0:
-            return (cy + 1) * (size_x + 2) + cx + 1
+            return (cy + 1) * width + cx + 1
     end_x, end_y, end_yaw = scratch.points[drive(limits, motion, 0.0, rate, scratch.points) - 1]
     return wave_cell(
         ground,

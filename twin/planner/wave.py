@@ -85,7 +85,8 @@ def reach(wave: Wave, index: int) -> int:
         tail = spread_from(value, queue, tail, queue[head], wave.width)
         head += 1
     wave.ends[HEAD], wave.ends[TAIL] = head, tail
-    return value[index]
+    steps: int = value[index]
+    return steps
 
 
 @compiled
@@ -107,7 +108,7 @@ def front(wave: Wave) -> int:
 @compiled
 def at_least(wave: Wave, index: int) -> int:
     """The cell's steps or, before the wave is there, a lower bound of them; negative if it will never be."""
-    steps = wave.value[index]
+    steps: int = wave.value[index]
     if steps == UNMET and wave.ends[HEAD] < wave.ends[TAIL]:
         return front(wave) + 1
     return steps
