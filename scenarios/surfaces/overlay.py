@@ -17,7 +17,8 @@ Rgba = tuple[float, float, float, float]
 Stroke = tuple[Array, Array, float, Rgba]  # from, to (3,) world [m], radius [m], colour
 
 WHITE: Final[Rgba] = (0.93, 0.94, 0.96, 1.0)
-GREY: Final[Rgba] = (0.66, 0.69, 0.74, 1.0)
+NAMES: Final[Rgba] = (0.62, 0.74, 0.86, 1.0)  # of the names to the left
+GREY: Final[Rgba] = (0.80, 0.82, 0.86, 1.0)
 MODE_COLOURS: Final[dict[Mode, Rgba]] = {
     Mode.PLANNER: (0.45, 0.80, 1.00, 1.0),
     Mode.NUDGE: (1.00, 0.82, 0.40, 1.0),
@@ -29,7 +30,8 @@ MODE_COLOURS: Final[dict[Mode, Rgba]] = {
 PATH: Final[Rgba] = (0.20, 0.62, 1.00, 0.9)
 SCAN: Final[Rgba] = (0.95, 0.25, 0.20, 1.0)
 TRAIL: Final[Rgba] = (1.00, 0.55, 0.20, 1.0)
-STRIDE: Final = 0.25  # [m] between the points of drawn lines
+PATH_STRIDE: Final = 0.25  # [m] between the points of drawn lines; every stroke costs the browser time
+TRAIL_STRIDE: Final = 0.1  # [m]
 SCAN_EVERY: Final = 6  # beams per dot
 
 
@@ -39,7 +41,7 @@ class Line:
 
     text: str
     rgba: Rgba = WHITE
-    name: str = ""  # grey, to the left
+    name: str = ""  # to the left
     column: float = 96.0  # [px] where the text begins after a name
     rule: bool = False  # a line above it
     scale: float = 1.0
@@ -86,20 +88,20 @@ def strokes(view: View) -> Iterator[Stroke]:
     """The lines in the scene: path, intervention and scan."""
     sight = view.frame.sight
     if sight is not None:
-        yield from _polyline(_thinned(sight.path_points()), 0.03, 0.018, PATH)
+        yield from _polyline(_thinned(sight.path_points(), PATH_STRIDE), 0.03, 0.018, PATH)
         points = sight.scan_points()[::SCAN_EVERY]
         for x, y in points[np.hypot(points[:, 0] - view.frame.pose.x, points[:, 1] - view.frame.pose.y) < 8.0]:
             at = np.array([x, y, 0.305])  # [m] the scan's height: ride height and mount
             yield at, at + np.array([0.0, 0.0, 0.001]), 0.016, SCAN
-    yield from _polyline(_thinned(view.trail), 0.045, 0.025, TRAIL)
+    yield from _polyline(_thinned(view.trail, TRAIL_STRIDE), 0.045, 0.025, TRAIL)
 
 
-def _thinned(points: Array) -> Array:
-    """Points (n, 2) [m] no closer than STRIDE to each other, and the last one."""
+def _thinned(points: Array, stride: float) -> Array:
+    """Points (n, 2) [m] no closer than `stride` [m] to each other, and the last one."""
     if len(points) < 3:
         return points
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
-    first = np.unique(np.searchsorted(along, np.arange(0.0, along[-1], STRIDE)))
+    first = np.unique(np.searchsorted(along, np.arange(0.0, along[-1], stride)))
     kept: Array = points[np.append(first, len(points) - 1)]
     return kept
 

@@ -33,7 +33,7 @@ from websockets.http11 import Request, Response
 
 from scenarios.errors import UserError
 from scenarios.keyboard import CAMERA, QUIT, STOP, Keys
-from scenarios.surfaces.overlay import Rgba, panel_lines, strokes
+from scenarios.surfaces.overlay import NAMES, Rgba, panel_lines, strokes
 from scenarios.teleop_view import View
 from twin.arena import compile_world
 from twin.records import Array
@@ -116,7 +116,7 @@ class Cockpit(plugin.ViewerPlugin):  # type: ignore[misc]
         ahead = 0.0 if above else 0.9
         camera.lookat[:] = (pose.x + ahead * math.cos(pose.yaw), pose.y + ahead * math.sin(pose.yaw), 0.0)
         camera.azimuth = 90.0 if above else self._azimuth
-        camera.elevation, camera.distance = (-89.0, 10.0) if above else (-38.0, 4.2)
+        camera.elevation, camera.distance = (-89.0, 10.0) if above else (-33.0, 4.8)
 
 
 def _stroke(a: Array, b: Array, width: float, rgba: Rgba) -> Any:
@@ -140,7 +140,7 @@ def _panel(view: View) -> None:
         if line.rule:
             imgui.Separator()
         if line.name:
-            imgui.TextDisabled(line.name)
+            imgui.TextColored(imgui.Vec4(*NAMES), line.name)
             imgui.SameLine(line.column)
         imgui.PushStyleColor(imgui.Col.Text, imgui.Vec4(*line.rgba))
         imgui.SetWindowFontScale(line.scale)

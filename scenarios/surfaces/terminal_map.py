@@ -17,7 +17,7 @@ from twin.records import Array
 from twin.world import World
 
 CELL: Final = (0.12, 0.24)  # [m] width and height of a character; letters are twice as high as wide
-PANEL: Final = 46  # columns
+PANEL: Final = 53  # columns
 ARROWS: Final = "→↗↑↖←↙↓↘"
 COLOURS: Final = {  # ANSI SGR by what a character shows
     "#": "90", "·": "31", "~": "34", "o": "33", "G": "32;1", "@": "1;33",
