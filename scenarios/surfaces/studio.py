@@ -10,6 +10,7 @@ page. Here it listens on one address, takes nothing, and answers its own page on
 
 from __future__ import annotations
 
+import collections.abc
 import contextlib
 import io
 import logging
@@ -24,6 +25,7 @@ from typing import Any, Final
 from urllib.parse import urlsplit
 
 import mujoco
+import numpy as np
 from mujoco.experimental.dear_imgui import dear_imgui as imgui
 from mujoco.experimental.studio import launch_thread, messages, plugin, ux, viewer_protocol
 from websockets.asyncio.server import ServerConnection
@@ -211,6 +213,8 @@ def open_window(world: World, lidar_mount: str) -> StudioSurface:
     config = viewer_protocol.ViewerConfig(title="appli teleop", width=1280, height=800)
 
     def run(end: Any, cockpit: Cockpit) -> None:
+        if not hasattr(collections.abc, "Buffer"):  # MuJoCo 3.17's renderer names it in annotations; Python 3.12 has it
+            collections.abc.Buffer = np.ndarray  # type: ignore[attr-defined]
         from mujoco.experimental.studio import native_viewer  # loads OpenGL
 
         viewer_protocol.run_viewer_loop(native_viewer.NativeViewer(config, end, model=model, plugins=[cockpit]))
