@@ -1,8 +1,7 @@
 """MuJoCo Studio as a teleop surface, in a browser or in a window. The only doorway to `mujoco.experimental.studio`.
 
-Studio's viewer runs on a thread of its own with a copy of the model and gets the twin's physics state after every
-tick; what it reads from the keyboard waits here until the session asks. Studio's usual tools (pausing, dragging,
-loading models) are not plugged in: they would change what the twin does behind the session's back.
+Studio's viewer runs on a thread of its own with a copy of the model, and gets the twin's physics state after every
+tick. Its usual tools (pausing, dragging, loading models) are not plugged in: they would work behind the session's back.
 
 Studio's web server is meant for trusted networks: it listens everywhere, takes models from anyone, and answers any
 page. Here it listens on one address, takes nothing, and answers its own page only (`Guard`).
@@ -38,7 +37,7 @@ from scenarios.keyboard import CAMERA, QUIT, STOP, Keys
 from scenarios.surfaces.overlay import NAMES, Rgba, panel_lines, strokes
 from scenarios.teleop_view import View
 from twin.arena import compile_world
-from twin.records import Array
+from twin.records import Array, Pose2
 from twin.world import World
 
 START: Final = 30.0  # [s] for the viewer to come up
@@ -58,8 +57,9 @@ KEY_NAMES: Final = {
 class Cockpit(plugin.ViewerPlugin):  # type: ignore[misc]
     """Lives on the viewer's thread: reads keys, follows the robot with the camera, draws panel and lines."""
 
-    def __init__(self) -> None:
-        """Before the viewer exists."""
+    def __init__(self, start: Pose2) -> None:
+        """Before the viewer exists; the camera begins behind `start` (world)."""
+        self._start = start
         self.ready = threading.Event()
         self.last_frame = -math.inf  # [s] time.monotonic
         self._lock = threading.Lock()
@@ -85,8 +85,8 @@ class Cockpit(plugin.ViewerPlugin):  # type: ignore[misc]
     def on_init(self, event: plugin.ViewerInitEvent) -> None:
         """The viewer is up."""
         ux.setup_theme(ux.GuiTheme.DARK)
-        camera = event.viewer.camera
-        camera.type = int(mujoco.mjtCamera.mjCAMERA_FREE)
+        event.viewer.camera.type = int(mujoco.mjtCamera.mjCAMERA_FREE)
+        self._aim(self._start)
         self.ready.set()
 
     @messages.handler  # type: ignore[untyped-decorator]
@@ -101,15 +101,15 @@ class Cockpit(plugin.ViewerPlugin):  # type: ignore[misc]
             view = self._view
         self.last_frame = time.monotonic()
         if view is not None:
-            self._aim(view)
+            self._aim(view.frame.pose)
             if view is not self._drawn:
                 self._drawn = view
                 self.viewer.extra_geoms[:] = [_stroke(a, b, width, rgba) for a, b, width, rgba in strokes(view)]
             _panel(view)
 
-    def _aim(self, view: View) -> None:
+    def _aim(self, pose: Pose2) -> None:
         """The camera behind the robot, or high above it."""
-        pose, camera = view.frame.pose, self.viewer.camera
+        camera = self.viewer.camera
         if self._azimuth is None:
             self._azimuth = math.degrees(pose.yaw)
         turn = math.remainder(math.degrees(pose.yaw) - self._azimuth, 360.0)
@@ -155,9 +155,11 @@ def _panel(view: View) -> None:
 class StudioSurface:
     """A running viewer, seen from the session's thread."""
 
-    def __init__(self, run: Callable[[Any, Cockpit], None], last_sign: Callable[[Cockpit], float]) -> None:
+    def __init__(
+        self, start: Pose2, run: Callable[[Any, Cockpit], None], last_sign: Callable[[Cockpit], float]
+    ) -> None:
         """Start the viewer and wait until it is up. `last_sign`: when [s] there last was somebody at the keys."""
-        self._cockpit = Cockpit()
+        self._cockpit = Cockpit(start)
         self._last_sign = last_sign
         self._error: Exception | None = None
         viewer_end, self._end = launch_thread.make_thread_endpoints()
@@ -170,7 +172,7 @@ class StudioSurface:
 
         self._thread = threading.Thread(target=target, daemon=True)
         deadline = time.monotonic() + START
-        # Studio prints a banner that names all interfaces, and logs to stdout; ours is printed by the command.
+        # Studio prints a banner of its own and logs to stdout; the command says what there is to say.
         with contextlib.redirect_stdout(io.StringIO()):
             logging.getLogger("WebServer").setLevel(logging.WARNING)
             self._thread.start()
@@ -210,7 +212,8 @@ def open_window(world: World, lidar_mount: str) -> StudioSurface:
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise UserError("no display for a window here; use --surface web (a browser page) or --surface terminal")
     model = compile_world(world, lidar_mount)
-    config = viewer_protocol.ViewerConfig(title="appli teleop", width=1280, height=800)
+    # Studio 3.17's mode "opengl" fails ("Target not found"); this one draws to pixels and shows them.
+    config = viewer_protocol.ViewerConfig(title="appli teleop", gfx="opengl_software", width=1280, height=800)
 
     def run(end: Any, cockpit: Cockpit) -> None:
         if not hasattr(collections.abc, "Buffer"):  # MuJoCo 3.17's renderer names it in annotations; Python 3.12 has it
@@ -219,7 +222,7 @@ def open_window(world: World, lidar_mount: str) -> StudioSurface:
 
         viewer_protocol.run_viewer_loop(native_viewer.NativeViewer(config, end, model=model, plugins=[cockpit]))
 
-    return StudioSurface(run, lambda cockpit: cockpit.last_frame)
+    return StudioSurface(world.start, run, lambda cockpit: cockpit.last_frame)
 
 
 class Guard:
@@ -286,7 +289,7 @@ def open_web(world: World, lidar_mount: str, address: str, port: int) -> tuple[S
     def run(end: Any, cockpit: Cockpit) -> None:
         viewer_protocol.run_viewer_loop(web_viewer.WebViewer(config, end, model=model, plugins=[cockpit]))
 
-    surface = StudioSurface(run, lambda cockpit: min(guard.last_input, cockpit.last_frame))
+    surface = StudioSurface(world.start, run, lambda cockpit: min(guard.last_input, cockpit.last_frame))
     name = {"0.0.0.0": socket.gethostname(), "::": socket.gethostname()}.get(address, address)
     return surface, f"http://{f'[{name}]' if ':' in name else name}:{port}/"
 
