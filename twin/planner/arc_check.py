@@ -42,9 +42,9 @@ class Ground(NamedTuple):
 class Scratch(NamedTuple):
     """Room for one search. `first` must hold -1 everywhere between calls."""
 
-    v: Array  # (vx_samples,) forward speeds [m/s]
-    w: Array  # (vtheta_samples,) the rates [rad/s] of a forward speed: straight on first
-    last: Cells  # (arcs,) wave cell of each candidate's last point, or -1
+    v: Array  # (>= vx_samples,) speeds [m/s] to try
+    w: Array  # (>= vtheta_samples,) rates [rad/s] to try with each
+    last: Cells  # (arcs,) wave cell of each candidate's last point, or OFF
     following: Cells  # (arcs,) the next arc with the same last cell, or -1
     first: Cells  # ((ny + 2) * (nx + 2),) the first arc with that last cell, or -1
     heap: Heap  # room for all arcs

@@ -52,7 +52,9 @@ def search(
         math.sin(motion.yaw),
     )
     start = Start(at, motion.v, motion.w, per_metre)
-    scratch.footprint[:] = ground.footprint * per_metre
+    for k in range(len(ground.footprint)):
+        scratch.footprint[k, 0] = ground.footprint[k, 0] * per_metre
+        scratch.footprint[k, 1] = ground.footprint[k, 1] * per_metre
     best = Best(0.0, 0.0, -1.0, 0, 0)
     here, obstacle = _first_point(ground, motion)
     if obstacle >= 0:  # otherwise no candidate is legal, because all begin here
@@ -85,20 +87,28 @@ def _first_point(ground: Ground, motion: Motion) -> tuple[int, int]:
 def scratch_for(
     shape: tuple[int, int], resolution: float, limits: Limits, points: int, corners: int
 ) -> tuple[Wave, Wave, Cells, Scratch]:
-    """Both waves, the raster and the scratch for maps (ny, nx) and searches of that size, kept from call to call."""
-    room = 256 * (points // 256 + 1)
-    return _room(threading.get_ident(), shape, resolution, limits.vx_samples, limits.vtheta_samples, room, corners)
+    """Both waves, the raster and the scratch for maps (ny, nx) and searches of at least that size.
+
+    They are kept from call to call, for each thread its own; sizes are rounded up, so that a search over parameters
+    does not allocate anew for each.
+    """
+    arcs = limits.vx_samples * limits.vtheta_samples
+    return _room(threading.get_ident(), shape, resolution, _rounded_up(arcs), _rounded_up(points), corners)
+
+
+def _rounded_up(count: int) -> int:
+    """The next power of two, at least 512."""
+    return max(512, 1 << (count - 1).bit_length())
 
 
 @lru_cache(maxsize=8)
 def _room(
-    thread: int, shape: tuple[int, int], resolution: float, speeds: int, rates: int, points: int, corners: int
+    thread: int, shape: tuple[int, int], resolution: float, arcs: int, points: int, corners: int
 ) -> tuple[Wave, Wave, Cells, Scratch]:
     ny, nx = shape
-    arcs = speeds * rates
     scratch = Scratch(
-        v=np.empty(speeds),
-        w=np.empty(rates),
+        v=np.empty(arcs),
+        w=np.empty(arcs),
         last=np.empty(arcs, dtype=np.int32),
         following=np.empty(arcs, dtype=np.int32),
         first=np.full((ny + 2) * (nx + 2), -1, dtype=np.int32),

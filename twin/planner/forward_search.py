@@ -76,7 +76,7 @@ def best_forward(
     for j in range(1, turns):  # the highest rate is never driven
         scratch.w[j] = sample
         sample += window.w_step
-    find_last_cells(ground, limits, motion, start, scratch.v, scratch.w, scratch)
+    find_last_cells(ground, limits, motion, start, scratch.v[: limits.vx_samples], scratch.w[:turns], scratch)
     unknown = 0
     for arc in range(arcs):
         index = last[arc]

@@ -152,8 +152,7 @@ def start_waves(
     """Both waves with their seeds, not spread yet; returns the local goal's flat cell index or -1."""
     size_y, size_x = cells.shape
     clear(path, cells)
-    goal.value[:] = path.value
-    goal.ends[:] = 0
+    clear(goal, cells)
     open_robot(path, size_x, size_y, origin_x, origin_y, resolution, x, y, yaw, footprint, raster)
     goal_x, goal_y = seed_plan(path, cells, origin_x, origin_y, resolution, plan)
     if goal_x < 0:

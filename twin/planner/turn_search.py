@@ -91,7 +91,8 @@ def _cell_ahead(ground: Ground, limits: Limits, motion: Motion, start: Start, ra
             return OFF
         if cx >= 0 and cy >= 0:
             return (cy + 1) * width + cx + 1
-    end_x, end_y, end_yaw = scratch.points[drive(limits, motion, 0.0, rate, scratch.points) - 1]
+    k = drive(limits, motion, 0.0, rate, scratch.points) - 1
+    end_x, end_y, end_yaw = scratch.points[k, 0], scratch.points[k, 1], scratch.points[k, 2]
     return wave_cell(
         ground,
         end_x + limits.heading_lookahead * math.cos(end_yaw),

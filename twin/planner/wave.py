@@ -45,7 +45,7 @@ def empty_wave(ny: int, nx: int) -> Wave:
 @compiled
 def clear(wave: Wave, cells: Bytes) -> None:
     """No seeds; cells of cost 253 and more block. (The border was blocked at birth and never changes.)"""
-    wave.ends[:] = 0
+    wave.ends[HEAD], wave.ends[TAIL] = 0, 0
     size_y, size_x = cells.shape
     for y in range(size_y):
         row = wave.value[(y + 1) * wave.width + 1 : (y + 1) * wave.width + 1 + size_x]
