@@ -30,7 +30,8 @@ SLOW_TIME, SLOW_SHARE = 3.0, 0.6  # B: for 3 s below 60 % of the speed that the 
 OPEN_AHEAD, OPEN_SIDE = 2.5, 0.8  # ... where 2.5 m ahead are free and 0.8 m around: "open"
 OPEN_SPEED = 1.5  # [m/s] what a person would drive there
 SHAKE_TIME, SHAKE_COUNT, SHAKE_RATE = 4.0, 3, 0.25  # B: three reversals of a turn of 0.25 rad/s and more within 4 s,
-STUTTER_TIME = 0.15  # [s] or a short step back, ...
+STUTTER_TIME = 0.15  # [s] or a short step back,
+CREEP_TIME, CREEP_SPEED, CREEP_FROM = 0.3, 0.25, 0.4  # or a slow-down from 0.4 m/s to below 0.25 m/s for 0.3 s, ...
 NARROW_AHEAD, NARROW_SIDE = 1.0, 0.45  # ... while something narrower than 0.45 m to a side lies within 1 m ahead
 GOOD_PACE = 0.12  # [m/s] towards the goal: slower is trouble already begun
 EDGE = 0.5  # [s] how far before its first sign trouble is said to have begun
@@ -95,11 +96,11 @@ class Bystander:
                 return Trouble("A", reason, self.last_good(), self._seen[-1].index)
         return None
 
-    def improvable(self) -> Trouble | None:
-        """Type B: somebody could do better."""
-        if self._is_slow():
+    def improvable(self, ticks: int) -> Trouble | None:
+        """Type B: somebody could do better, judged by the last `ticks` ticks only (those spent in this place)."""
+        if self._is_slow(ticks):
             return Trouble("B", "is slow in the open", self._back(SLOW_TIME + EDGE), self._seen[-1].index)
-        if self._shakes():
+        if self._shakes(ticks):
             return Trouble("B", "enters a narrow place unsteadily", self._back(SHAKE_TIME + EDGE), self._seen[-1].index)
         return None
 
@@ -127,9 +128,9 @@ class Bystander:
         points = np.c_[pose.x + v * t * np.cos((pose.yaw + yaw) / 2), pose.y + v * t * np.sin((pose.yaw + yaw) / 2)]
         return bool((self._space.at(points) < CRASH_GAP).any())
 
-    def _is_slow(self) -> bool:
+    def _is_slow(self, ticks: int) -> bool:
         recent = _last(self._v, SLOW_TIME)
-        if len(recent) == 0 or float(np.mean(recent)) > SLOW_SHARE * OPEN_SPEED:
+        if not 0 < len(recent) <= ticks or float(np.mean(recent)) > SLOW_SHARE * OPEN_SPEED:
             return False
         seen = self._seen[-len(recent) :: 5]
         return all(self.is_open(s.pose) for s in seen)
@@ -141,12 +142,14 @@ class Bystander:
         room = self._space.at(points)
         return bool(room[0] > OPEN_SIDE and (room > 0.45).all())
 
-    def _shakes(self) -> bool:
-        recent = _last(self._w, SHAKE_TIME)
-        if len(recent) == 0 or not self._narrow_ahead():
+    def _shakes(self, ticks: int) -> bool:
+        n = min(ticks, len(self._v), round(SHAKE_TIME / TICK))
+        if n * TICK < 1.0 or not self._narrow_ahead():
             return False
-        stutters = sum(v < BACK_SPEED for v in self._v[-len(recent) :]) * TICK >= STUTTER_TIME - 1e-9
-        return stutters or reversals(recent, SHAKE_RATE) >= SHAKE_COUNT
+        v, w = self._v[-n:], self._w[-n:]
+        stutters = sum(speed < BACK_SPEED for speed in v) * TICK >= STUTTER_TIME - 1e-9
+        creeps = float(np.mean(_last(v, CREEP_TIME))) < CREEP_SPEED and max(v) > CREEP_FROM
+        return stutters or creeps or reversals(w, SHAKE_RATE) >= SHAKE_COUNT
 
     def _narrow_ahead(self) -> bool:
         pose = self._seen[-1].pose

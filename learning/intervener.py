@@ -81,17 +81,16 @@ class Intervener:
         urgent = self._bystander.urgent()
         if urgent is not None:
             return self._plea("A", urgent.reason, urgent.began, index, self._place_of(urgent.began))
-        self._pending = self._pending or self._new_trouble()
+        self._pending = self._pending or self._new_trouble(index)
         left = place != self._place or over
         if left or (not self.world.segments and self._has_settled(pose)):
             return self._leave(index, place)
         return None
 
-    def _new_trouble(self) -> Trouble | None:
-        trouble = self._bystander.improvable()
-        if trouble is None or self._place_of(trouble.began) != self._place:
-            return None
-        return trouble
+    def _new_trouble(self, index: int) -> Trouble | None:
+        """What could be better in this place; its beginning is never put before the place's own."""
+        trouble = self._bystander.improvable(index - self._entered)
+        return trouble and replace(trouble, began=max(trouble.began, self._entered))
 
     def _leave(self, index: int, place: str) -> Plea | None:
         """A place is over: is it worth going back?"""

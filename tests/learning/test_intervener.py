@@ -100,13 +100,13 @@ def test_trouble_began_where_progress_ended_not_where_it_showed() -> None:
 
 
 def test_slow_in_the_open_is_improvable_and_brisk_is_not() -> None:
-    assert watch(hall(), straight(0.5, 5.0)).improvable() is not None
-    assert watch(hall(), straight(1.4, 3.2)).improvable() is None
+    assert watch(hall(), straight(0.5, 5.0)).improvable(1000) is not None
+    assert watch(hall(), straight(1.4, 3.2)).improvable(1000) is None
 
 
 def test_slow_in_a_narrow_place_is_not_called_slow() -> None:
     corridor = (Box(5.0, 0.85, 0.0, 8.0, 0.2, 1.0), Box(5.0, -0.85, 0.0, 8.0, 0.2, 1.0))
-    assert watch(hall(*corridor), straight(0.5, 5.0, x=2.0)).improvable() is None
+    assert watch(hall(*corridor), straight(0.5, 5.0, x=2.0)).improvable(1000) is None
 
 
 def test_shaking_into_a_narrow_place_is_improvable() -> None:
@@ -117,10 +117,16 @@ def test_shaking_into_a_narrow_place_is_improvable() -> None:
         x += 0.5 * TICK
         poses.append(Pose2(x, 0.0, yaw))
     narrow = (Box(7.0, 0.5, 0.0, 3.0, 0.2, 1.0), Box(7.0, -0.5, 0.0, 3.0, 0.2, 1.0))
-    trouble = watch(hall(*narrow), poses).improvable()
+    trouble = watch(hall(*narrow), poses).improvable(1000)
     assert trouble is not None
     assert (trouble.kind, trouble.reason) == ("B", "enters a narrow place unsteadily")
     assert reversals([0.0] * 100, 0.25) == 0
+
+
+def test_what_was_before_a_place_does_not_count_in_it() -> None:
+    drive = straight(0.5, 5.0)
+    assert watch(hall(), drive).improvable(100) is not None
+    assert watch(hall(), drive).improvable(30) is None
 
 
 def test_a_route_is_smooth_and_keeps_its_distance() -> None:
