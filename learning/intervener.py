@@ -111,8 +111,10 @@ class Intervener:
         return math.hypot(pose.x - there.x, pose.y - there.y) > SETTLE
 
     def _plea(self, kind: Kind, reason: str, began: int, index: int, place: str) -> Plea:
-        start = began if kind == "D" else max(self._first_tick, began - round(LEAD / TICK))
-        return Plea(kind, reason, began, start, index, place)
+        start = max(self._first_tick, began - round(LEAD / TICK))
+        if kind == "A" and place and place == self._place:  # a person shows a place they know from its beginning
+            start = min(start, self._entered)
+        return Plea(kind, reason, began, began if kind == "D" else start, index, place)
 
     @property
     def _first_tick(self) -> int:
@@ -126,10 +128,14 @@ class Intervener:
         """Whether this place has not been dealt with yet; places without a name are always new."""
         return plea.place not in self._settled
 
-    def resume(self, plea: Plea, index: int, pose: Pose2) -> None:
-        """The intervention is over; the default drives on from tick `index`."""
+    def settle(self, plea: Plea) -> None:
+        """The place of the plea has been shown and needs nothing more."""
         if plea.place:
             self._settled.add(plea.place)
+
+    def resume(self, plea: Plea, index: int, pose: Pose2) -> None:
+        """The default drives on from where the intervention ended, at tick `index`."""
+        self.settle(plea)
         self._bystander.look_again()
         segment = segment_at(self.world, pose)
         self._place, self._entered, self._pending = "" if segment is None else segment.name, index, None

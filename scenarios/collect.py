@@ -24,6 +24,7 @@ from twin.rewind import Tape
 from twin.rollout import Loop
 from twin.world import World
 
+TICK = 0.05  # [s]
 TAPE = 60.0  # [s] that can be wound back
 PATIENCE = 12  # interventions at one place before the session gives up
 
@@ -53,48 +54,44 @@ class Session:
 
     def run(self, keep: Callable[[Collected], None]) -> None:
         """Drive to the end of the trial; `keep` gets every intervention as soon as it is complete."""
-        while True:
-            tick = self._step()
+        over = False
+        while not over:
+            tick = self._tape.step()
+            self._ticks[tick.index] = tick
             over = tick.outcome is not None
             plea = self._intervener.watch(tick.index, tick.true_pose, over, tick.contact is not None)
             if plea is None:
-                if over:
-                    return
                 continue
-            if self._intervener.is_new(plea):
-                collected, over = self._intervene(plea)
-                keep(collected)
-            else:
+            new = self._intervener.is_new(plea)
+            if not new:
                 self._helped += 1
                 if self._helped > PATIENCE:
                     self._say("the default gets nowhere even with help; stopped")
                     return
                 self._say(f"helps again at {plea.place}: {plea.reason}")
-                _, over = self._intervene(plea, count=False)
-            if over:
-                return
+            collected, over = self._intervene(plea, new, over)
+            if new:
+                keep(collected)
 
-    def _step(self, command: Command | None = None) -> Tick:
-        tick = self._tape.step(command)
-        self._ticks[tick.index] = tick
-        return tick
+    def _intervene(self, plea: Plea, new: bool, over: bool) -> tuple[Collected, bool]:
+        """Wind back and drive by hand. True when the trial is over afterwards.
 
-    def _intervene(self, plea: Plea, count: bool = True) -> tuple[Collected, bool]:
-        """Wind back, drive by hand, hand back. True when the trial ended meanwhile."""
+        After a failure (type A) the default goes on from where the person hands back. Where it had managed by itself
+        (types B and D) it goes on from where it had got to: the better drive was an excursion.
+        """
         start = max(plea.start, self._tape.oldest)
         began = self._ticks[max(plea.began, start)].observation
-        self._tape.rewind(start)
-        loop, world = self._tape.loop, self._world
-        twist = self._ticks[start].observation.twist
-        pose = loop.simulation.true_pose
-        demonstration = Demonstration.begin(self._intervener, plea, start, pose, twist.v, twist.w)
-        ticks: list[Tick] = []
-        while not (ticks and demonstration.is_over(world, self._tape.position, loop.simulation.true_pose)):
-            command, demonstration = demonstration.drive(loop.simulation.true_pose, self._rng)
-            ticks.append(self._step(command))
-            if ticks[-1].outcome is not None:
-                break
-        self._counts[plea.kind] += count
+        rewound = (plea.noticed - start) * TICK
+        if plea.kind == "A":
+            self._tape.rewind(start)
+            ticks = self._drive_by_hand(plea, start)
+            over = ticks[-1].outcome is not None
+            self._intervener.resume(plea, self._tape.position, self._tape.loop.simulation.true_pose)
+        else:
+            with self._tape.excursion(start):
+                ticks = self._drive_by_hand(plea, start)
+            self._intervener.settle(plea)
+        self._counts[plea.kind] += new
         label = f"{plea.kind}{self._counts[plea.kind]}"
         metadata = Metadata(
             world=self._spec.world,
@@ -103,16 +100,28 @@ class Session:
             trigger=plea.reason,
             trouble_time=began.time,
             trouble_pose=began.pose,
-            rewound=(plea.noticed - start) * 0.05,
+            rewound=rewound,
             versions={name: version(name) for name in ("appli-twin", "mujoco", "numpy")},
         )
         steps = [Step(t.observation, t.applied or Command(0.0, 0.0), labelled=True) for t in ticks]
+        if new:
+            self._say(f"{label} at {_where(plea, ticks[0].true_pose)}: {plea.reason}")
         clearance = min(t.clearance for t in ticks)
-        self._intervener.resume(plea, self._tape.position, loop.simulation.true_pose)
-        if count:
-            self._say(f"{label} at {_where(plea, pose)}: {plea.reason}")
-        collected = Collected(Intervention(plea.kind, label, steps, metadata), plea.place, clearance, tuple(ticks))
-        return collected, ticks[-1].outcome is not None
+        return Collected(Intervention(plea.kind, label, steps, metadata), plea.place, clearance, tuple(ticks)), over
+
+    def _drive_by_hand(self, plea: Plea, start: int) -> list[Tick]:
+        """The person's drive from tick `start`, until handed back or the trial ends."""
+        simulation, twist = self._tape.loop.simulation, self._ticks[start].observation.twist
+        by_hand = Demonstration.begin(self._intervener, plea, start, simulation.true_pose, twist.v, twist.w)
+        ticks: list[Tick] = []
+        while not (ticks and by_hand.is_over(self._world, self._tape.position, simulation.true_pose)):
+            command, by_hand = by_hand.drive(simulation.true_pose, self._rng)
+            ticks.append(self._tape.step(command))
+            if plea.kind == "A":
+                self._ticks[ticks[-1].index] = ticks[-1]
+            if ticks[-1].outcome is not None:
+                break
+        return ticks
 
 
 def _where(plea: Plea, pose: Pose2) -> str:

@@ -76,3 +76,17 @@ def test_the_override_goes_before_the_driver() -> None:
     assert tick.decision.command is not None
     assert tick.decision.command != tick.applied
     assert tick.observation.twist.w == pytest.approx(1.0, abs=0.15)
+
+
+def test_an_excursion_leaves_no_trace() -> None:
+    plain = tape()
+    expected = [tick_bytes(plain.step()) for _ in range(80)]
+    recorder = tape()
+    first = [tick_bytes(recorder.step()) for _ in range(50)]
+    with recorder.excursion(20):
+        elsewhere = [tick_bytes(recorder.step(Command(0.2, -0.8))) for _ in range(45)]
+    rest = [tick_bytes(recorder.step()) for _ in range(30)]
+    assert first + rest == expected
+    assert elsewhere[:30] != expected[20:50]
+    recorder.rewind(35)
+    assert [tick_bytes(recorder.step()) for _ in range(10)] == expected[35:45]

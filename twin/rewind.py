@@ -8,6 +8,8 @@ gives the same bits because the loop is deterministic.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from twin.records import Command, Tick
 from twin.rollout import Loop, LoopState
@@ -59,3 +61,14 @@ class Tape:
             self.loop.step(self._overrides[k])
         self._overrides = {k: c for k, c in self._overrides.items() if k < index}
         self._next = index
+
+    @contextmanager
+    def excursion(self, index: int) -> Iterator[None]:
+        """Wind back to `index`, drive anew inside the `with`, and return afterwards as if nothing had been."""
+        state, keyframes, overrides, position = self.loop.save(), self._keyframes.copy(), self._overrides, self._next
+        self.rewind(index)
+        try:
+            yield
+        finally:
+            self.loop.restore(state)
+            self._keyframes, self._overrides, self._next = keyframes, overrides, position

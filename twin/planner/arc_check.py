@@ -14,8 +14,8 @@ import numpy as np
 from twin.compiled import compiled
 from twin.planner.arcs import Motion, Score, drive, total_cost
 from twin.planner.footprint import OFF_MAP as FOOTPRINT_OFF_MAP
-from twin.planner.footprint import _line_cost as line_cost
 from twin.planner.footprint import footprint_cost
+from twin.planner.footprint import line_cost as line_cost
 from twin.planner.grid import world_to_cell
 from twin.planner.heap import Heap
 from twin.planner.sketch import OFF, Posture, Start, after_ramp, certain_cell, posture, sketch

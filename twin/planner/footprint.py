@@ -77,7 +77,7 @@ def line_cells(x0: int, y0: int, x1: int, y1: int, size_x: int, cells: NDArray[n
 
 
 @compiled
-def _line_cost(flat: Bytes, size_x: int, x0: int, y0: int, x1: int, y1: int) -> int:
+def line_cost(flat: Bytes, size_x: int, x0: int, y0: int, x1: int, y1: int) -> int:
     """The highest cost byte on the line walk, or HITS_UNKNOWN / HITS_OBSTACLE at the first such cell."""
     dx, dy = abs(x1 - x0), abs(y1 - y0)
     step_x = 1 if x1 >= x0 else -1
@@ -147,7 +147,7 @@ def footprint_cost(
                 return OFF_MAP
         else:
             bx, by = first_x, first_y
-        cost = _line_cost(flat, size_x, ax, ay, bx, by)
+        cost = line_cost(flat, size_x, ax, ay, bx, by)
         if cost < 0:
             return cost
         highest = max(highest, cost)
