@@ -300,6 +300,7 @@ def _listener(address: str, port: int) -> socket.socket:
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listener.bind((address, port))
+        listener.listen()  # whoever follows the URL at once waits a moment instead of being turned away
     except OSError as error:
         listener.close()
         reason = error.strerror or str(error)

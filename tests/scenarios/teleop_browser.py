@@ -34,19 +34,23 @@ class Page:
     def __init__(self, connection: ClientConnection) -> None:
         self._connection, self._id = connection, 0
 
-    def call(self, method: str, **params: Any) -> dict[str, Any]:
-        """One DevTools call."""
+    def send(self, method: str, **params: Any) -> None:
+        """A DevTools call without waiting: input is answered only after the page's next picture."""
         self._id += 1
         self._connection.send(json.dumps({"id": self._id, "method": method, "params": params}))
+
+    def call(self, method: str, **params: Any) -> dict[str, Any]:
+        """One DevTools call and its result."""
+        self.send(method, **params)
         while True:
-            answer = json.loads(self._connection.recv(timeout=30.0))
+            answer = json.loads(self._connection.recv(timeout=60.0))
             if answer.get("id") == self._id:
                 return dict(answer.get("result", {}))
 
     def click(self, x: int = 700, y: int = 500) -> None:
         """A left click, which gives the page the keyboard."""
         for kind in ("mousePressed", "mouseReleased"):
-            self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+            self.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
     def key(self, key: str, down: bool) -> None:
         """A key goes down or up, named as in KeyboardEvent.key."""
@@ -58,7 +62,7 @@ class Page:
         }
         if down and len(key) == 1:
             params["text"] = key
-        self.call("Input.dispatchKeyEvent", type="keyDown" if down else "keyUp", **params)
+        self.send("Input.dispatchKeyEvent", type="keyDown" if down else "keyUp", **params)
 
     def hold(self, key: str, seconds: float) -> None:
         """Press, wait, release."""
@@ -86,9 +90,7 @@ def page(url: str, profile: Path, size: tuple[int, int] = (1280, 800)) -> Iterat
         with connect(f"ws://127.0.0.1:{port}{path}", max_size=None) as root:
             target = Page(root).call("Target.createTarget", url=url)["targetId"]
             with connect(f"ws://127.0.0.1:{port}/devtools/page/{target}", max_size=None) as connection:
-                shown = Page(connection)
-                shown.call("Page.enable")
-                yield shown
+                yield Page(connection)
     finally:
         browser.terminate()
         browser.wait(10)

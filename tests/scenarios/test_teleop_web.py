@@ -25,8 +25,9 @@ from scenarios.surfaces.studio import Guard, open_web
 from scenarios.worlds import load_world
 from tests.scenarios.teleop_browser import chromium, page
 
+SLOW = 1.5  # [s] per picture: with a page slower than this nobody can drive
 MAIN = """
-import json, sys
+import json, sys, time
 from pathlib import Path
 from scenarios.surfaces import studio
 from scenarios.teleop import teleop_command
@@ -39,7 +40,7 @@ def draw_and_log(self, view):
     draw(self, view)
     frame = view.frame
     entry = {"index": frame.index, "x": frame.pose.x, "v": frame.twist.v, "mode": view.mode.name}
-    entry |= {"label": view.label, "saved": view.saved}
+    entry |= {"label": view.label, "saved": view.saved, "quiet": time.monotonic() - self._last_sign(self._cockpit)}
     print(json.dumps(entry), file=log)
 
 studio.StudioSurface.draw = draw_and_log
@@ -164,7 +165,16 @@ class Session:
         lines = self.log.read_text().splitlines() if self.log.exists() else []
         return dict(json.loads(lines[-1])) if lines else {}
 
-    def wait(self, condition: Callable[[dict[str, Any]], bool], seconds: float = 20.0) -> dict[str, Any]:
+    def slowest_picture(self, seconds: float) -> float:
+        """[s] the longest that the page was silent during the next `seconds`."""
+        longest, until = 0.0, time.monotonic() + seconds
+        while time.monotonic() < until:
+            with contextlib.suppress(json.JSONDecodeError):
+                longest = max(longest, self.now()["quiet"])
+            time.sleep(0.05)
+        return longest
+
+    def wait(self, condition: Callable[[dict[str, Any]], bool], seconds: float = 40.0) -> dict[str, Any]:
         """Until what is shown fulfils it."""
         deadline = time.monotonic() + seconds
         while True:
@@ -191,9 +201,11 @@ def test_a_whole_intervention_with_rewind_from_the_keyboard_of_a_browser(session
     assert session.url.startswith("http://127.0.0.1:")
     assert {listener.split(":")[0] for listener in listeners(session.process.pid)} == {"0100007F"}
     assert session.now().get("index", 0) == 0  # it waits for somebody
-    with page(session.url, tmp_path / "profile", size=(400, 300)) as browser:
-        session.wait(lambda now: now["index"] > 30, 40.0)
-        browser.click(200, 150)
+    with page(session.url, tmp_path / "profile", size=(320, 240)) as browser:
+        session.wait(lambda now: now["index"] > 60, 60.0)
+        if (slowest := session.slowest_picture(4.0)) > SLOW:
+            pytest.skip(f"too slow to drive: without a graphics card, this busy, a picture takes {slowest:.1f} s")
+        browser.click(160, 120)
 
         browser.key("r", down=True)
         session.wait(lambda now: now["mode"] == "REWIND")
