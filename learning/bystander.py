@@ -22,8 +22,8 @@ from twin.records import Array, Pose2
 
 TICK = 0.05  # [s]
 
-STUCK_TIME, STUCK_PROGRESS = 5.0, 0.25  # A: less than 0.25 m towards the goal in 5 s
-BACK_WITHIN, BACK_TIME, BACK_SPEED = 6.0, 0.7, -0.10  # A: drives backwards for 0.7 of the last 6 s
+STUCK_TIME, STUCK_PROGRESS = 4.0, 0.35  # A: less than 0.35 m towards the goal in 4 s
+BACK_WITHIN, BACK_TIME, BACK_SPEED = 6.0, 0.3, -0.10  # A: drives backwards for 0.3 of the last 6 s
 SPIN_TIME, SPIN_ANGLE, SPIN_REACH = 4.0, 1.25 * math.pi, 0.15  # A: turns 225 degrees on the spot within 4 s
 CRASH_TIME, CRASH_GAP = 0.5, 0.21  # A: half a second from touching, its centre 0.21 m from something
 SLOW_TIME, SLOW_SHARE = 3.0, 0.6  # B: for 3 s below 60 % of the speed that the room allows ...

@@ -1,0 +1,62 @@
+"""A whole session of the synthetic intervener: the contexts of the training course, each in its place."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from learning.interventions import load_dataset, save_intervention
+from scenarios.cli import main
+from scenarios.collect import Collected, Session
+from scenarios.trials import TrialSpec
+from scenarios.worlds import load_world
+
+
+def collect(world_name: str, seed: int) -> list[Collected]:
+    kept: list[Collected] = []
+    spec = TrialSpec(world_name, seed=seed)
+    Session(spec, load_world(world_name)).run(kept.append)
+    return kept
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 7])
+def test_training_gives_each_context_once_in_its_place(seed: int, tmp_path: Path) -> None:
+    kept = collect("training", seed)
+    assert sorted(c.intervention.label for c in kept) == ["A1", "A2", "B1", "B2", "D1", "D2"]
+    for collected in kept:
+        made = collected.intervention
+        assert made.label == collected.place
+        assert all(tick.contact is None for tick in collected.ticks), "demonstrations are free of collisions"
+        assert collected.min_clearance > 0.02
+        assert 2.0 <= len(made.steps) * 0.05 <= 12.05
+        assert made.metadata.source == "synthetic"
+        assert made.metadata.rewound > 0.0
+        path = save_intervention(made, tmp_path)
+        assert path.stat().st_size < 3_000_000
+    assert [i.label for i in load_dataset(tmp_path)] == ["A1", "A2", "B1", "B2", "D1", "D2"]
+    assert [i.label for i in load_dataset(tmp_path, ["B"])] == ["B1", "B2"]
+    # the first two seconds still have the speed at which the person took over
+    fastest = {c.place: max(step.action.v for step in c.intervention.steps[40:]) for c in kept}
+    assert fastest["B1"] > 1.2, "brisk in the open"
+    assert fastest["D1"] <= 0.41
+    assert fastest["D2"] <= 0.41, "careful where nothing was wrong"
+
+
+@pytest.mark.slow
+def test_a_session_is_reproducible(tmp_path: Path) -> None:
+    first, second = (collect("doorway", 3) for _ in range(2))
+    assert [c.intervention.digest for c in first] == [c.intervention.digest for c in second]
+
+
+def test_a_closed_world_is_refused_with_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    course = tmp_path / "closed.toml"
+    course.write_text(
+        'name = "closed"\nstart = [0.0, 0.0, 0.0]\ngoal = [3.0, 0.0]\ntime_limit = 8.0\n'
+        "[[walls]]\npoints = [[-1.0, -1.0], [1.5, -1.0], [1.5, 1.0], [-1.0, 1.0]]\nclosed = true\n"
+    )
+    with pytest.raises(SystemExit) as stop:
+        main(["collect", str(course), "--out", str(tmp_path / "out")])
+    assert stop.value.code == 2
+    assert "a human could not show a way either" in capsys.readouterr().err
