@@ -72,7 +72,7 @@ def holds(polygon: tuple[tuple[float, float], ...], x: float, y: float) -> bool:
 
 @pytest.mark.parametrize(
     ("name", "order"),
-    [("training", ["B1", "B2", "A1", "D1", "A2", "D2"]), ("unseen", ["D1", "A2", "A1", "B1", "B2", "D2"])],
+    [("training", ["B1", "B2", "A1", "D1", "A2", "D2"]), ("unseen", ["D1", "A2", "B1", "B2", "A1", "D2"])],
 )
 def test_course_is_passable_long_and_meets_its_places_in_order(name: str, order: list[str]) -> None:
     world = load_world(name)
@@ -91,7 +91,7 @@ def test_course_is_passable_long_and_meets_its_places_in_order(name: str, order:
 def test_rules_of_a_course(name: str) -> None:
     world = load_world(name)
     assert world.rules.protocol == "course"
-    assert (world.rules.goal_tolerance, world.rules.time_limit, world.rules.stop_on_contact) == (0.5, 200.0, True)
+    assert (world.rules.goal_tolerance, world.rules.time_limit, world.rules.stop_on_contact) == (1.0, 200.0, True)
     assert world.start.yaw == 0.0
 
 
