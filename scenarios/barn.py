@@ -103,18 +103,19 @@ def hollow(grid: Grid) -> Grid:
 
 
 def filled(mask: Grid) -> Grid:
-    """(30, 30) the grid of a cylinder mask: the inverse of `hollow`.
+    """(30, 30) the grid of a cylinder mask: the inverse of `hollow`, so that hollow(filled(mask)) is the mask again.
 
-    A pocket without cylinders is filled when every cell in it then has eight filled neighbours. A free pocket that
-    is closed all round looks the same; of the 300 worlds one has such a pocket (world 255), and no robot can reach it.
+    Pockets without cylinders are filled when that explains the mask: every cell of the pocket then has eight filled
+    neighbours, and no cylinder has. A free pocket that is closed all round can look the same; the larger is filled
+    first, which gives the published grid in all of the 100 worlds (in the others no robot could reach it).
     """
     grid = np.array(mask, dtype=np.uint8)
     pockets, count = ndimage.label(mask == 0, np.ones((3, 3)))
-    for k in range(1, count + 1):
-        pocket = pockets == k
-        trial = grid | pocket
-        if ndimage.minimum_filter(trial, size=3, mode="constant", cval=0)[pocket].all():
-            grid = trial.astype(np.uint8)
+    sizes = np.bincount(pockets.ravel(), minlength=count + 1)[1:]
+    for k in np.argsort(-sizes, kind="stable") + 1:
+        trial = np.where(pockets == k, 1, grid).astype(np.uint8)
+        if np.array_equal(hollow(trial), mask):
+            grid = trial
     return grid
 
 

@@ -11,7 +11,19 @@ from xml.parsers import expat
 import numpy as np
 from numpy.typing import NDArray
 
-from scenarios.barn import CELL, COLUMN0_Y, RADIUS, ROW0_X, SIZE, Grid, PathEnds, estimated_ends, filled, wall_centres
+from scenarios.barn import (
+    CELL,
+    COLUMN0_Y,
+    RADIUS,
+    ROW0_X,
+    SIZE,
+    Grid,
+    PathEnds,
+    estimated_ends,
+    filled,
+    hollow,
+    wall_centres,
+)
 from scenarios.world_checks import WorldError
 from twin.records import Array
 
@@ -69,7 +81,7 @@ def find_ends(path: Path, index: int, grid: Grid) -> PathEnds:
     """Ends of the reference path from files beside this one, else estimated.
 
     Looked for: path_N.npy in the same folder, in ../path_files and in ./path_files (BARN's own layout), and
-    barn_100.npz in the same folder or the one above, where the world is recognised by its grid.
+    barn_100.npz in the same folder or the one above, where the world is recognised by its cylinders.
     """
     name = f"path_{index}.npy"
     for candidate in (path.parent / name, path.parent.parent / "path_files" / name, path.parent / "path_files" / name):
@@ -78,9 +90,10 @@ def find_ends(path: Path, index: int, grid: Grid) -> PathEnds:
     for candidate in (path.parent / "barn_100.npz", path.parent.parent / "barn_100.npz"):
         if candidate.is_file():
             arrays = _load_npz(candidate)
-            same = np.flatnonzero((arrays["grids"] == grid).all(axis=(1, 2)))
-            if len(same):
-                return _ends_in_archive(candidate, arrays, int(same[0]))
+            cylinders = hollow(grid)  # not the grid: it may differ in a closed pocket (`filled`)
+            for row, known in enumerate(arrays["grids"]):
+                if np.array_equal(hollow(_as_grid(candidate, known)), cylinders):
+                    return _ends_in_archive(candidate, arrays, row)
     return estimated_ends(grid)
 
 

@@ -86,6 +86,12 @@ def _text(value: Any) -> str:
     return value
 
 
+def _style(value: Any) -> str:
+    if not isinstance(value, str) or not re.fullmatch(r"[A-Za-z][\w-]{0,30}", value):
+        raise ValueError('must be a word such as "wall", "cardboard" or "furniture"')
+    return value
+
+
 def _list_of(value: Any, lengths: Sequence[int], form: str) -> list[float]:
     if not isinstance(value, list) or len(value) not in lengths:
         raise ValueError(f"must be {form}")
@@ -148,27 +154,27 @@ TABLES: dict[str, dict[str, _Key]] = {
         "closed": _Key(_flag, False),
         "thickness": _THICKNESS,
         "height": _HEIGHT,
-        "style": _Key(_text, "wall"),
+        "style": _Key(_style, "wall"),
     },
     "corridors": {
         "centre": _Key(_points(2)),
         "width": _Key(_positive),
         "thickness": _THICKNESS,
         "height": _HEIGHT,
-        "style": _Key(_text, "cardboard"),
+        "style": _Key(_style, "cardboard"),
     },
     "boxes": {
         "at": _Key(_point),
         "size": _Key(_size),
         "yaw": _Key(_number, 0.0),
         "bottom": _Key(_not_negative, 0.0),
-        "style": _Key(_text, "box"),
+        "style": _Key(_style, "box"),
     },
     "cylinders": {
         "at": _Key(_point),
         "radius": _Key(_positive),
         "height": _HEIGHT,
-        "style": _Key(_text, "cylinder"),
+        "style": _Key(_style, "cylinder"),
     },
     "segments": {
         "name": _Key(_text),

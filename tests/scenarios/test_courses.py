@@ -225,6 +225,7 @@ def test_walls_leave_no_slit_at_corners() -> None:
         (MINIMAL + "[[cylinders]]\nat = [3, 3]\nradius = 1\ncolour = 'red'", 6, "cylinders[1].colour is not a key"),
         (MINIMAL + "[[corridors]]\ncentre = [[0, 0], [1, 0], [0, 0.01]]\nwidth = 1", 4, "bends too sharply"),
         (MINIMAL + "[[corridors]]\ncentre = [[0, 0], [1, 0], [1, 0.5], [0, 0.5]]\nwidth = 1", 4, "too short"),
+        (MINIMAL + "[[cylinders]]\nat = [3, 3]\nradius = 1\nstyle = 'a/b'", 6, "cylinders[1].style must be"),
         (MINIMAL + "[[segments]]\nname = 'A1'\npolygon = [[0, 0], [1, 1]]", 5, "segments[1].polygon must be"),
         (MINIMAL + "walls = 3", 3, "walls must be tables"),
         (MINIMAL + "walls = [{points = 1}]", 3, "walls[1].points must be"),
