@@ -14,12 +14,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from learning.arc_scene import Best, Floor, Room, Scene, Stage
 from twin.compiled import compiled
 from twin.planner.arc_check import BEATEN, ILLEGAL, UNDECIDED, Rival, loses, outline_cost
 from twin.planner.arcs import (
@@ -29,21 +29,18 @@ from twin.planner.arcs import (
     in_place_rate,
     look_ahead_goal,
     score_arc,
-    step_count,
     total_cost,
     velocity_window,
 )
 from twin.planner.footprint import footprint_cost
 from twin.planner.grid import world_to_cell
-from twin.planner.heap import Heap, empty_heap, pop, push
-from twin.planner.sketch import OFF, UNCERTAIN, Posture, Sketch, Start, certain_cell, posture, sketch
+from twin.planner.heap import pop, push
+from twin.planner.sketch import OFF, UNCERTAIN, Posture, Sketch, Start, certain_cell, last_cells, posture, sketch
 from twin.planner.trajectory_state import Limits
-from twin.records import Array, Bytes
+from twin.records import Array
 
 NO_WAY = 255  # in `around`: there is no way from this cell to the plan or to the local goal
 LOOK = 254  # in `around`: an outline may meet a lethal cell, or leave the map
-
-Grid = NDArray[np.uint16] | NDArray[np.int32]
 
 _Function = TypeVar("_Function", bound=Callable[..., object])
 
@@ -52,69 +49,6 @@ def inlined(function: _Function) -> _Function:
     """As `compiled`, and put into its callers' code."""
     machine_code: _Function = numba.njit(cache=True, error_model="numpy", inline="always")(function)
     return machine_code
-
-
-class Stage(NamedTuple):
-    """All steps that search an arc, with one inflation radius."""
-
-    step: NDArray[np.int64]  # (m,) which steps these are
-    cells: Bytes  # (m, ny, nx) inflated local maps
-    around: Bytes  # (m, ny, nx) see `Floor`
-    path: Grid  # (m, ny, nx)
-    goal: Grid  # (m, ny, nx)
-    origin: Array  # (m, 2) [m]
-    motion: Array  # (m, 6) `Motion`, as find_best_path rounds it
-    goal_distance: Array  # (m,) [m] to the end of the cropped plan
-
-
-class Scene(NamedTuple):
-    """One of them."""
-
-    costs: Costs  # with complete grids
-    around: Bytes
-    motion: Motion
-    goal_distance: float
-
-
-class Floor(NamedTuple):
-    """What a footprint stands on."""
-
-    cells: Bytes  # (ny * nx,)
-    around: Bytes  # (ny * nx,) the highest byte that any outline round this cell may meet; or NO_WAY, LOOK
-    footprint: Array  # (n, 2) [cells] base_link
-    size_x: int
-    size_y: int
-
-
-class Room(NamedTuple):
-    """Working memory."""
-
-    heap: Heap
-    obstacle: NDArray[np.int32]  # (arcs,) the byte that an arc is known to meet; -1: its last point was not looked at
-    path: Array  # (arcs,) path grid at the last point [cells]
-    goal: Array  # (arcs,)
-    v: Array  # (vx_samples,) [m/s]
-    w: Array  # (vtheta_samples,) [rad/s]
-    points: Array  # (points, 3)
-
-
-class Best(NamedTuple):
-    """The best candidate so far; cost < 0: none."""
-
-    v: float
-    w: float
-    cost: float
-
-
-def room_for(limits: Limits, speed: float, rate: float) -> Room:
-    """Working memory for any search under these limits from at most |speed| [m/s] and |rate| [rad/s]."""
-    fastest = max(limits.max_vel_x, limits.min_vel_x, abs(limits.escape_vel), speed)
-    turn = max(limits.max_vel_theta, abs(limits.min_vel_theta), limits.min_in_place, rate)
-    points = step_count(limits, fastest, turn) + 2
-    arcs = limits.vx_samples * limits.vtheta_samples
-    obstacle, path, goal = np.empty(arcs, dtype=np.int32), np.empty(arcs), np.empty(arcs)
-    v, w = np.empty(limits.vx_samples), np.empty(limits.vtheta_samples)
-    return Room(empty_heap(arcs), obstacle, path, goal, v, w, np.empty((points, 3)))
 
 
 @compiled
@@ -158,6 +92,8 @@ def choose_arc(scene: Scene, limits: Limits, room: Room) -> Best:
             for j in range(limits.vtheta_samples):
                 room.w[j] = w
                 w += window.w_step
+            room.rates[0] = 0.0
+            room.rates[1:] = room.w[:-1]
             best = _best_forward(scene, limits, obstacle, room)
             best = _best_turn(scene, limits, window.w_step, obstacle, best, room)
     if best.cost >= 0.0:
@@ -201,46 +137,71 @@ def _last_cell_driven(scene: Scene, limits: Limits, v: float, w: float, points: 
 
 
 @compiled
+def _list_arcs(scene: Scene, limits: Limits, start: Start, obstacle: int, room: Room) -> int:
+    """Path, goal and bound of every forward arc (inf: its last point is illegal); returns the arc of lowest bound."""
+    size_y, size_x = scene.around.shape
+    width = size_x + 2  # of the cell numbers that last_cells gives (see wave.py)
+    around, path_grid, goal_grid = scene.around, scene.costs.path, scene.costs.goal
+    last, path, goal, bound = room.last, room.path, room.goal, room.bound
+    turns = len(room.rates)
+    last_cells(limits, start, room.v, room.rates, size_x, size_y, last)
+    lowest = 0
+    for arc in range(len(last)):
+        cell = last[arc]
+        if cell == UNCERTAIN:
+            cx, cy = _last_cell_driven(scene, limits, room.v[arc // turns], room.rates[arc % turns], room.points)
+            cell = (cy + 1) * width + cx + 1 if cx >= 0 else OFF
+        bound[arc] = np.inf
+        if cell >= 0:
+            cx, cy = cell % width - 1, cell // width - 1
+            if around[cy, cx] != NO_WAY:
+                path[arc], goal[arc] = path_grid[cy, cx], goal_grid[cy, cx]
+                bound[arc] = total_cost(limits, path[arc], goal[arc], float(obstacle))
+        if bound[arc] < bound[lowest]:
+            lowest = arc
+    return lowest
+
+
+@compiled
 def _best_forward(scene: Scene, limits: Limits, obstacle: int, room: Room) -> Best:
     """The first of the cheapest forward arcs; all begin on a legal point with cost byte `obstacle`."""
-    floor = _floor(scene)
-    size_y, size_x = scene.around.shape
-    start = _start(scene)
-    heap, speeds, rates = room.heap, room.v, room.w
-    turns = limits.vtheta_samples
-    heap.size[0] = 0
-    for i in range(limits.vx_samples):  # for each speed straight on first, then all rates but the highest
-        for j in range(turns):
-            v, w = speeds[i], rates[j - 1] if j > 0 else 0.0
-            cx, cy = _last_cell(limits, start, v, w, size_x, size_y)
-            if cx == UNCERTAIN or cy == UNCERTAIN:
-                cx, cy = _last_cell_driven(scene, limits, v, w, room.points)
-            if cx < 0 or cy < 0 or scene.around[cy, cx] == NO_WAY:
-                continue
-            arc = i * turns + j
-            path, goal = float(scene.costs.path[cy, cx]), float(scene.costs.goal[cy, cx])
-            room.path[arc], room.goal[arc], room.obstacle[arc] = path, goal, -1
-            push(heap, total_cost(limits, path, goal, float(obstacle)), arc)
-
+    floor, start = _floor(scene), _start(scene)
+    heap, bounds, looked = room.heap, room.bound, room.obstacle
+    paths, goals, speeds, rates = room.path, room.goal, room.v, room.rates
+    turns = len(rates)
+    lowest = _list_arcs(scene, limits, start, obstacle, room)
     best_cost, best_arc = np.inf, -1
-    while heap.size[0] > 0:
+    heap.size[0] = 0
+    if bounds[lowest] < np.inf:
+        looked[lowest] = -1
+        push(heap, bounds[lowest], lowest)
+    listed = False
+    while heap.size[0] > 0 or not listed:
+        if heap.size[0] == 0:  # the most promising arc has been checked, so that hopeless ones need not be listed
+            listed = True
+            for arc in range(len(bounds)):
+                beats = bounds[arc] < best_cost or (bounds[arc] == best_cost and arc < best_arc)
+                if beats and arc != lowest:
+                    looked[arc] = -1
+                    push(heap, bounds[arc], arc)
+            continue
         bound = heap.cost[0]
         if bound > best_cost or (bound == best_cost and heap.arc[0] > best_arc):
             break
         arc = pop(heap)
-        v, w = speeds[arc // turns], rates[arc % turns - 1] if arc % turns > 0 else 0.0
+        v, w = speeds[arc // turns], rates[arc % turns]
+        path, goal = paths[arc], goals[arc]
         curve = sketch(limits, start, v, w)
-        path, goal = room.path[arc], room.goal[arc]
-        if room.obstacle[arc] < 0 and curve.sane:
+        if looked[arc] < 0 and curve.sane:
             met = _look_at(floor, posture(limits, start, curve, v, w, curve.points - 1), obstacle)
             if met == ILLEGAL:
                 continue
-            room.obstacle[arc] = obstacle if met == UNDECIDED else met
-            raised = total_cost(limits, path, goal, float(room.obstacle[arc]))
+            looked[arc] = obstacle if met == UNDECIDED else met
+            raised = total_cost(limits, path, goal, float(looked[arc]))
             if raised > bound:
                 push(heap, raised, arc)
                 continue
-        known = max(obstacle, int(room.obstacle[arc]))
+        known = max(obstacle, int(looked[arc]))
         found = _check(floor, limits, start, curve, v, w, known, Rival(path, goal, best_cost, arc < best_arc))
         if found == UNDECIDED:
             found = _check_driven(scene, limits, v, w, room.points)
@@ -250,7 +211,7 @@ def _best_forward(scene: Scene, limits: Limits, obstacle: int, room: Room) -> Be
                 best_cost, best_arc = cost, arc
     if best_arc < 0:
         return Best(0.0, 0.0, -1.0)
-    return Best(speeds[best_arc // turns], rates[best_arc % turns - 1] if best_arc % turns > 0 else 0.0, best_cost)
+    return Best(speeds[best_arc // turns], rates[best_arc % turns], best_cost)
 
 
 @compiled

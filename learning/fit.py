@@ -3,8 +3,9 @@
     theta_i = argmin_theta  sum over (x, a) in I_i of  lambda_v (v - v')^2 + lambda_w (w - w')^2,
     where (v', w') = G(x; theta)
 
-The search space is the unit cube that `ParameterSpace` maps to parameters. The default parameters always compete, so
-no fit is worse than the default on its own data.
+The search space is the unit cube that `ParameterSpace` maps to parameters. Searches start from different points; the
+last one starts, with small steps, at the best of what they found. The default parameters always compete, so no fit is
+worse than the default on its own data.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
 import cma
 import numpy as np
@@ -24,12 +25,13 @@ from twin.planner.params import INTEGERS, PARAMETER_NAMES, ParameterSpace, Plann
 from twin.planner.plan import DEFAULT_SETTINGS, DEFAULT_THETA, PlannerSettings
 from twin.records import Array, frozen_array
 
-Progress = Callable[[int, float], None]  # evaluations so far, best loss so far
+Progress = Callable[[int, float], None]  # evaluations so far, best loss of the search in progress
 Start = Literal["middle", "default", "random"]
 
 MARGIN = 0.02  # [cube sides] how far the search may leave the cube; out there is the bound, which is so hit exactly
 SMALLEST_STEP = 1e-5  # [cube sides] a search whose steps are smaller is over
 MOST_SKEWED = 1e14  # condition number of the covariance (pycma's own limit)
+PIECE = 100  # [steps] at a time when all are judged
 FLATNESS_GRID = 21  # values of each parameter that are looked at
 
 
@@ -40,14 +42,15 @@ class FitSettings:
     lambda_v: float = 1.0  # [s^2/m^2] weight of the linear error (v and omega weighted equally)
     lambda_w: float = 1.0  # [s^2/rad^2] weight of the angular error
     population: int = 12  # (12)
+    start: Start = "middle"  # of the first search (the middle)
     sigma: float = 0.2  # [cube sides] first step size (2 of 10)
-    start: Start = "middle"  # where the first search starts (the middle); later ones start at random points
-    restarts: int = 2  # further searches after the first (none)
-    max_evaluations: int = 3000  # of the loss, over all searches (12 x 800)
-    patience: int = 25  # a search ends after so many generations without progress (tolfun 1e-11)
-    min_progress: float = 1e-3  # relative to the default's loss; less over `patience` generations is no progress
+    restarts: int = 1  # further searches from random points (none)
+    last_sigma: float = 0.05  # [cube sides] first step size of the last search, from the best so far (there is none)
+    max_steps: int = 120  # search on so many steps, evenly spread; neighbours are much alike (all)
+    max_evaluations: int = 3000  # of the sum, by all searches together (12 x 800)
+    patience: int = 15  # a search ends after so many generations without progress (tolfun 1e-11)
+    min_progress: float = 1e-3  # as a share of the default's loss; less in one generation is no progress
     seed: int = 0
-    max_steps: int | None = 120  # search on so many steps, evenly spread; None: all. Losses are reported on all
     space: ParameterSpace = field(default_factory=ParameterSpace)
     planner: PlannerSettings = DEFAULT_SETTINGS
     flatness: float = 0.05  # a parameter is flat as far as it costs no more than this share of what the fit gained
@@ -58,13 +61,15 @@ class FitSettings:
                 raise ValueError(f"{name} must be a finite number >= 0, not {getattr(self, name)!r}")
         if self.lambda_v == self.lambda_w == 0.0:
             raise ValueError("lambda_v and lambda_w must not both be 0")
-        for name, least in (("population", 4), ("restarts", 0), ("max_evaluations", 1), ("patience", 1)):
-            if getattr(self, name) < least:
-                raise ValueError(f"{name} must be at least {least}, not {getattr(self, name)}")
-        if self.max_steps is not None and self.max_steps < 1:
-            raise ValueError(f"max_steps must be at least 1, not {self.max_steps}")
-        if not 0.0 < self.sigma <= 1.0:
-            raise ValueError(f"sigma must be in (0, 1], not {self.sigma}")
+        least = {"population": 4, "restarts": 0, "max_steps": 1, "max_evaluations": 1, "patience": 1}
+        for name, low in least.items():
+            if getattr(self, name) < low:
+                raise ValueError(f"{name} must be at least {low}, not {getattr(self, name)}")
+        for name in ("sigma", "last_sigma"):
+            if not 0.0 < getattr(self, name) <= 1.0:
+                raise ValueError(f"{name} must be in (0, 1], not {getattr(self, name)}")
+        if self.start not in get_args(Start):
+            raise ValueError(f"start must be one of {', '.join(get_args(Start))}, not {self.start!r}")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -77,9 +82,8 @@ class FitResult:
     demonstrated: Array  # (n, 2) v [m/s], w [rad/s] of the intervener, labelled steps
     default_actions: Array  # (n, 2) of G with the default parameters
     actions: Array  # (n, 2) of G with theta
-    curve: Array  # (k, 2) evaluations, best loss so far, on the steps that were searched on
+    curve: Array  # (k, 3) evaluations, number of the search, its best loss so far (scaled up to all steps)
     flatness: dict[str, tuple[float, float]]  # name -> range of values that cost almost nothing, all others held
-    steps: int  # searched on
     evaluations: int
     seconds: float  # of wall time
     settings: FitSettings
@@ -113,108 +117,129 @@ def fit(
     labels = {i.label for i in taught}
     if len(labels) != 1:
         raise ValueError(f"one fit is for one context, not for {', '.join(sorted(labels)) or 'none'}")
-    everything = LabelledSteps.of([i.packed for i in taught])
-    if len(everything) == 0:
+    steps = LabelledSteps.of([i.packed for i in taught])
+    if len(steps) == 0:
         raise ValueError(f"intervention {labels.pop()} has no labelled steps to learn from")
     began = time.perf_counter()
-    search = _Search(everything.spread(settings.max_steps), settings, progress)
-    interrupted, flatness = False, {}
+    fitting = _Fitting(steps, settings, progress)
+    flatness: dict[str, tuple[float, float]] = {}
+    interrupted = False
     try:
-        search.evaluate(DEFAULT_THETA)
-        rng = np.random.default_rng(settings.seed)
-        for k in range(1 + settings.restarts):
-            search.run(_start_point(settings, k, rng), int(rng.integers(1, 2**31)))
-        flatness = search.flatness()
+        fitting.run()
+        flatness = fitting.flatness()
     except KeyboardInterrupt:
         interrupted = True
-
-    whole = search.imitation if len(search.imitation) == len(everything) else Imitation(everything, settings.planner)
-    default_actions, actions = whole.actions(DEFAULT_THETA), whole.actions(search.best_theta)
-    default_loss, loss = (whole.loss(a, settings.lambda_v, settings.lambda_w) for a in (default_actions, actions))
-    theta = search.best_theta
-    if loss > default_loss:  # only possible where the search saw a part of the steps
-        theta, actions, loss = DEFAULT_THETA, default_actions, default_loss
+    thetas = [DEFAULT_THETA, *fitting.found]
+    actions = _judge(steps, fitting.sample, thetas, settings.planner)
+    losses = [_loss(a, steps.actions, settings) for a in actions]
+    best = losses.index(min(losses))
     return FitResult(
-        theta=theta,
-        loss=loss,
-        default_loss=default_loss,
-        demonstrated=whole.demonstrated,
-        default_actions=default_actions,
-        actions=actions,
-        curve=frozen_array(np.array(search.curve, dtype=np.float64).reshape(-1, 2)),
+        theta=thetas[best],
+        loss=losses[best],
+        default_loss=losses[0],
+        demonstrated=steps.actions,
+        default_actions=actions[0],
+        actions=actions[best],
+        curve=frozen_array(np.array(fitting.curve, dtype=np.float64).reshape(-1, 3)),
         flatness=flatness,
-        steps=len(search.imitation),
-        evaluations=search.evaluations,
+        evaluations=fitting.evaluations,
         seconds=time.perf_counter() - began,
         settings=settings,
         interrupted=interrupted,
     )
 
 
-def _start_point(settings: FitSettings, number: int, rng: np.random.Generator) -> Array:
-    """(8,) in the unit cube: where search `number` starts."""
-    random = rng.uniform(0.1, 0.9, len(PARAMETER_NAMES))
-    if number > 0 or settings.start == "random":
-        return random
-    return settings.space.encode(DEFAULT_THETA) if settings.start == "default" else np.full(len(random), 0.5)
+def _loss(actions: Array, demonstrated: Array, settings: FitSettings) -> float:
+    """Eq. 1's sum for actions (n, 2)."""
+    v, w = ((actions - demonstrated) ** 2).sum(axis=0).tolist()
+    return float(settings.lambda_v * v + settings.lambda_w * w)
 
 
-class _Search:
-    """One fit in progress: counts evaluations and keeps the best."""
+def _judge(
+    steps: LabelledSteps, sample: Imitation, thetas: Sequence[PlannerParams], planner: PlannerSettings
+) -> list[Array]:
+    """G's actions (n, 2) on all steps for each theta, in pieces, because a step takes 0.25 MB for each R."""
+    if len(sample) == len(steps):
+        return [sample.actions(theta) for theta in thetas]
+    pieces = []
+    for chunk in steps.chunks(PIECE):
+        imitation = Imitation(chunk, planner)
+        pieces.append([imitation.actions(theta) for theta in thetas])
+    return [frozen_array(np.concatenate(of_theta)) for of_theta in zip(*pieces, strict=True)]
+
+
+class _Fitting:
+    """A fit in progress."""
 
     def __init__(self, steps: LabelledSteps, settings: FitSettings, progress: Progress | None) -> None:
-        self.imitation = Imitation(steps, settings.planner)
         self.settings = settings
         self.progress = progress
+        few = steps.spread(settings.max_steps)
+        self.sample = Imitation(few, settings.planner)
+        self._demonstrated = few.actions
+        self._scale = len(steps) / len(few)
+        self.found: list[PlannerParams] = []  # the best of each search so far
         self.evaluations = 0
-        self.best_theta, self.best_loss = DEFAULT_THETA, math.inf
-        self.default_loss = math.inf
-        self.curve: list[tuple[int, float]] = []
+        self.curve: list[tuple[int, int, float]] = []
 
     def loss(self, theta: PlannerParams) -> float:
-        """Eq. 1's sum for one theta."""
-        actions = self.imitation.actions(theta)
-        return self.imitation.loss(actions, self.settings.lambda_v, self.settings.lambda_w)
+        """Eq. 1's sum for one theta, scaled up to all steps when only a sample is looked at."""
+        return _loss(self.sample.actions(theta), self._demonstrated, self.settings) * self._scale
 
-    def evaluate(self, theta: PlannerParams) -> float:
-        """The loss of a candidate, which may become the best."""
-        loss = self.loss(theta)
-        self.evaluations += 1
-        if loss < self.best_loss:
-            self.best_theta, self.best_loss = theta, loss
-            self.curve.append((self.evaluations, loss))
-        if theta == DEFAULT_THETA:
-            self.default_loss = loss
-        if self.progress is not None:
-            self.progress(self.evaluations, self.best_loss)
-        return loss
+    def best_theta(self) -> PlannerParams:
+        """The best of what the searches have found, and of the default."""
+        return min([DEFAULT_THETA, *self.found], key=self.loss)
 
-    def run(self, start: Array, seed: int) -> None:
+    def run(self) -> None:
+        """All searches."""
+        settings = self.settings
+        rng = np.random.default_rng(settings.seed)
+        for k in range(1 + settings.restarts):
+            start = rng.uniform(0.1, 0.9, len(PARAMETER_NAMES))
+            if k == 0 and settings.start != "random":
+                middle = np.full(len(start), 0.5)
+                start = middle if settings.start == "middle" else settings.space.encode(DEFAULT_THETA)
+            self._search(start, settings.sigma, rng)
+        self._search(settings.space.encode(self.best_theta()), settings.last_sigma, rng)
+
+    def _search(self, start: Array, sigma: float, rng: np.random.Generator) -> None:
         """One CMA-ES search from a point (8,) of the unit cube, until it stops making progress."""
         settings = self.settings
-        strategy = cma.CMAEvolutionStrategy(start.tolist(), settings.sigma, _options(settings.population, seed))
-        best, stale = math.inf, 0
+        strategy = cma.CMAEvolutionStrategy(start.tolist(), sigma, _options(settings.population, rng))
+        number = len(self.found)
+        self.found.append(DEFAULT_THETA)
+        best = self.loss(DEFAULT_THETA)
+        enough = settings.min_progress * best
+        stale = 0
         while stale < settings.patience and self.evaluations < settings.max_evaluations and not _is_over(strategy):
             points = strategy.ask()
-            losses = [self.evaluate(settings.space.decode(np.asarray(p))) for p in points]
+            before, losses = best, []
+            for theta in (settings.space.decode(np.asarray(p)) for p in points):
+                losses.append(self.loss(theta))
+                self.evaluations += 1
+                if losses[-1] < best:
+                    best = losses[-1]
+                    self.found[number] = theta
+                    self.curve.append((self.evaluations, number, best))
+                if self.progress is not None:
+                    self.progress(self.evaluations, best)
             strategy.tell(points, losses)
-            stale = 0 if min(losses) < best - settings.min_progress * self.default_loss else stale + 1
-            best = min(best, *losses)
+            stale = 0 if best < before - enough else stale + 1
 
     def flatness(self) -> dict[str, tuple[float, float]]:
         """For each parameter the values round the best that cost almost nothing while the other seven stay."""
-        settings = self.settings
-        allowed = self.best_loss + settings.flatness * max(self.best_loss, self.default_loss - self.best_loss)
+        settings, best_theta = self.settings, self.best_theta()
+        best, default = self.loss(best_theta), self.loss(DEFAULT_THETA)
+        allowed = best + settings.flatness * max(best, default - best)
         ranges = {}
         for name, low, high in zip(PARAMETER_NAMES, settings.space.lower, settings.space.upper, strict=True):
             values = np.unique(np.linspace(low, high, FLATNESS_GRID).round(0 if name in INTEGERS else 9))
-            here = getattr(self.best_theta, name)
+            here = getattr(best_theta, name)
             ends = []
             for side in (values[values < here][::-1], values[values > here]):
                 end = here
                 for value in side.tolist():
-                    theta = PlannerParams.from_mapping(self.best_theta.as_dict() | {name: value})
-                    if self.loss(theta) > allowed:
+                    if self.loss(PlannerParams.from_mapping(best_theta.as_dict() | {name: value})) > allowed:
                         break
                     end = value
                 ends.append(end)
@@ -222,9 +247,9 @@ class _Search:
         return ranges
 
 
-def _options(population: int, seed: int) -> dict[str, object]:
+def _options(population: int, rng: np.random.Generator) -> dict[str, object]:
     """pycma's options: random numbers of our own, no output, no stopping criteria but ours."""
-    numbers = np.random.default_rng(seed)
+    numbers = np.random.default_rng(rng.integers(2**63))
     return {
         "bounds": [-MARGIN, 1.0 + MARGIN],
         "popsize": population,

@@ -13,14 +13,16 @@ steps come from somebody else's. Blocked counts as stop.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from itertools import islice
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.arc_choice import LOOK, NO_WAY, Stage, choose_arcs, room_for
+from learning.arc_choice import LOOK, NO_WAY, choose_arcs
+from learning.arc_scene import Stage, room_for
 from learning.steps import PackedSteps, Step
 from twin.geometry import normalize_angle
 from twin.planner.arcs import Motion
@@ -55,13 +57,27 @@ class LabelledSteps:
     def __iter__(self) -> Iterator[Step]:
         for steps, indices in self.picks:
             wanted = set(indices)
-            yield from (step for k, step in enumerate(steps) if k in wanted)
+            through = islice(steps, max(indices, default=-1) + 1)
+            yield from (step for k, step in enumerate(through) if k in wanted)
+
+    @property
+    def actions(self) -> Array:
+        """(n, 2) v [m/s], w [rad/s] of the intervener."""
+        return frozen_array(np.concatenate([steps.actions[list(indices)] for steps, indices in self.picks]))
 
     def spread(self, most: int | None) -> LabelledSteps:
         """At most so many of them, evenly spread over all, first and last included."""
         if most is None or len(self) <= most:
             return self
-        kept = set(np.linspace(0, len(self) - 1, most).round().astype(np.int64).tolist())
+        return self._only(np.linspace(0, len(self) - 1, most).round().astype(np.int64).tolist())
+
+    def chunks(self, size: int) -> Iterator[LabelledSteps]:
+        """All of them, at most so many at a time."""
+        for first in range(0, len(self), size):
+            yield self._only(range(first, min(first + size, len(self))))
+
+    def _only(self, numbers: Iterable[int]) -> LabelledSteps:
+        kept = set(numbers)
         picks, before = [], 0
         for steps, indices in self.picks:
             picks.append((steps, tuple(i for k, i in enumerate(indices, before) if k in kept)))
@@ -82,8 +98,6 @@ class Imitation:
     """The right-hand side of Eq. 1 for a set of steps."""
 
     def __init__(self, steps: LabelledSteps, settings: PlannerSettings) -> None:
-        taught = [(s.action.v, s.action.w) for s in steps]
-        self.demonstrated = frozen_array(np.array(taught, dtype=np.float64).reshape(-1, 2))
         frames = {(*_frame(s.observation.local_map), *_frame(s.observation.global_map)) for s in steps}
         if len(frames) != 1:
             raise ValueError("the maps of all interventions must have one size and resolution")
@@ -95,7 +109,7 @@ class Imitation:
         self._stages: dict[tuple[int, int], tuple[Stage, tuple[_Other, ...]]] = {}
 
     def __len__(self) -> int:
-        return len(self.demonstrated)
+        return len(self._steps)
 
     def actions(self, theta: PlannerParams) -> Array:
         """(n, 2) v [m/s], w [rad/s] of G(x; theta) at every step."""
@@ -112,11 +126,6 @@ class Imitation:
             result, _ = compute_velocity(costmap, x.pose, x.twist, x.twist, state, theta, settings)
             actions[k] = (result.command.v, result.command.w) if result.ok else (0.0, 0.0)
         return frozen_array(actions)
-
-    def loss(self, actions: Array, lambda_v: float, lambda_w: float) -> float:
-        """Eq. 1's sum for actions (n, 2)."""
-        v, w = (actions - self.demonstrated).T
-        return float(lambda_v * np.sum(v**2) + lambda_w * np.sum(w**2))
 
     def _stage(self, theta: PlannerParams) -> tuple[Stage, tuple[_Other, ...]]:
         radius = theta.inflation_radius
@@ -144,10 +153,12 @@ def _set_stage(
     steps: LabelledSteps, plans: Sequence[Array | None], radius: float, settings: PlannerSettings
 ) -> tuple[Stage, tuple[_Other, ...]]:
     """Everything that the local planner needs, up to the search itself (see `controller.compute_velocity`)."""
-    rows: list[tuple[Any, ...]] = []
-    others = []
+    others, count = [], 0
+    stage: Stage | None = None
     for k, (step, path) in enumerate(zip(steps, plans, strict=True)):
         x = step.observation
+        if stage is None:
+            stage = _empty_stage(len(plans), x.local_map.cells.shape)
         if path is None:
             continue
         costmap = update_costmap(None, x.local_map, LOCAL_MAP, radius)
@@ -155,30 +166,34 @@ def _set_stage(
         plan = plan[prune_count(plan, x.pose) :]
         if len(plan) == 0:
             continue
-        motion = _motion(x)
-        arrived = (
-            math.hypot(plan[-1, 0] - x.pose.x, plan[-1, 1] - x.pose.y) <= settings.local.controller.xy_goal_tolerance
-        )
+        motion, (goal_x, goal_y) = _motion(x), plan[-1, :2].tolist()
+        arrived = math.hypot(goal_x - x.pose.x, goal_y - x.pose.y) <= settings.local.controller.xy_goal_tolerance
         if arrived or max(map(abs, (motion.x, motion.y, *costmap.origin))) >= FARTHEST:
             others.append(_Other(k, x, costmap, set_plan(ControllerState(), path)))
             continue
         grids = map_grids(costmap, Pose2(motion.x, motion.y, motion.yaw), plan)
-        width = np.uint16 if costmap.cells.size + 1 <= np.iinfo(np.uint16).max else np.int32
-        distance = math.hypot(plan[-1, 0] - motion.x, plan[-1, 1] - motion.y)
         no_way = np.maximum(grids.path, grids.goal) >= costmap.cells.size
-        around = surroundings(costmap.cells, no_way, int(CIRCUMSCRIBED_RADIUS / costmap.resolution) + 1)
-        path_grid, goal_grid = grids.path.astype(width), grids.goal.astype(width)
-        rows.append((k, costmap.cells, around, path_grid, goal_grid, costmap.origin, motion, distance))
-    if not rows:
-        return _NO_STEPS, tuple(others)
-    return Stage(*(frozen_array(np.array(column)) for column in zip(*rows, strict=True))), tuple(others)
+        stage.step[count] = k
+        stage.cells[count] = costmap.cells
+        stage.around[count] = surroundings(costmap.cells, no_way, int(CIRCUMSCRIBED_RADIUS / costmap.resolution) + 1)
+        stage.path[count] = grids.path
+        stage.goal[count] = grids.goal
+        stage.origin[count] = costmap.origin
+        stage.motion[count] = motion
+        stage.goal_distance[count] = math.hypot(goal_x - motion.x, goal_y - motion.y)
+        count += 1
+    assert stage is not None  # there is at least one step
+    return Stage(*(frozen_array(column[:count]) for column in stage)), tuple(others)
 
 
-_NO_STEPS = Stage(
-    np.empty(0, np.int64),
-    *(np.empty((0, 0, 0), t) for t in (np.uint8, np.uint8, np.uint16, np.uint16)),
-    *(np.empty(shape) for shape in ((0, 2), (0, 6), 0)),
-)
+def _empty_stage(steps: int, shape: tuple[int, ...]) -> Stage:
+    size = math.prod(shape)
+    grid = np.uint16 if size + 1 <= np.iinfo(np.uint16).max else np.int32  # ny * nx + 1 is the highest value
+    return Stage(
+        np.empty(steps, np.int64),
+        *(np.empty((steps, *shape), kind) for kind in (np.uint8, np.uint8, grid, grid)),
+        *(np.empty((steps, *rest)) for rest in ((2,), (6,), ())),
+    )
 
 
 def _motion(x: Observation) -> Motion:
