@@ -76,6 +76,36 @@ def collect(
     return collect_command(world, out, protocol, seed, record)
 
 
+def teleop(
+    world: Positional[str],
+    /,
+    out: Path,
+    surface: Literal["web", "window", "terminal"] = "web",
+    driver: str = "dwa",
+    protocol: Protocol = "appli",
+    seed: int = 0,
+    keys: Path | None = None,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+) -> int:
+    """Drive along and intervene by keyboard: 1, 2, 3 take over (type A, B, D), R rewinds, Enter hands back, Q quits.
+
+    Args:
+        world: As for `appli run`.
+        out: Folder for the interventions, one .npz each.
+        surface: A browser page, a native window, or a terminal (for SSH).
+        driver: Who drives until the person takes over.
+        protocol: Start, goal, tolerance and time limit of BARN worlds.
+        seed: Root of all noise.
+        keys: Replay timed key presses from this file, headless (docs/driving.md).
+        host: Address the web page listens on; anything but loopback lets strangers drive.
+        port: Port of the web page; 0 takes a free one.
+    """
+    from scenarios.teleop import teleop_command
+
+    return teleop_command(world, out, surface, driver, protocol, seed, keys, host, port)
+
+
 def worlds(json: bool = False) -> int:
     """List the built-in worlds.
 
@@ -115,6 +145,7 @@ DESCRIPTION = "A digital twin of the Clearpath Jackal under ROS's move_base, and
 COMMANDS: dict[str, Callable[..., int]] = {
     "run": run,
     "collect": collect,
+    "teleop": teleop,
     "worlds": worlds,
     "bench": bench,
     "demo": demo,
