@@ -30,7 +30,7 @@ def demo_command(out: Path, seed: int) -> int:
         spec, world = TrialSpec(name, seed=seed), load_world(name)
         path = out / f"{name.replace('/', '-')}.rrd"
         began = time.perf_counter()
-        metadata = {"world": world.name, "driver": spec.driver, "seed": seed, "protocol": spec.protocol}
+        metadata = {"world": world.name, "driver": spec.driver, "seed": seed, "protocol": world.rules.protocol}
         with blame(), Recorder(path, world, metadata) as recorder:
             result = run_trial(spec, world, recorder.add, explain=True)
         wall = time.perf_counter() - began

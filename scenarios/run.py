@@ -88,7 +88,7 @@ def _run_watched(spec: TrialSpec, world: World, record: Path | None, quiet: bool
             from twin.recording import Recorder
 
             with blame():
-                metadata = {"world": world.name, "driver": spec.driver, "seed": spec.seed, "protocol": spec.protocol}
+                metadata = {"world": world.name, "driver": spec.driver, "seed": spec.seed, "protocol": world.rules.protocol}
                 recorder = stack.enter_context(Recorder(record, world, metadata))
             watchers.append(recorder.add)
         if not quiet:
