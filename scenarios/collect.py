@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from learning.intervener import Demonstration, Intervener, Plea
 from learning.interventions import Intervention, Metadata, Step, save_intervention
@@ -137,7 +137,7 @@ def collect_command(world_name: str, out: Path, protocol: str, seed: int, record
     with blame(f"cannot use the folder {out}"):
         out.mkdir(parents=True, exist_ok=True)
     compile_kernels()
-    table = Table("file", "label", "place", "trouble", "rewound [s]", "steps", "closest [m]")
+    table = Table(Column("file", no_wrap=True), "label", "place", "trouble", "rewound [s]", "steps", "closest [m]")
     count = 0
 
     def keep(collected: Collected) -> None:

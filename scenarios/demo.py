@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from scenarios.errors import blame
 from scenarios.run import compile_kernels
@@ -23,7 +23,7 @@ def demo_command(out: Path, seed: int) -> int:
     with blame(f"cannot use the folder {out}"):
         out.mkdir(parents=True, exist_ok=True)
     compile_kernels()
-    table = Table("world", "outcome", "time [s]", "driven [m]", "recoveries", "closest [m]", "x real time")
+    table = Table(Column("world", no_wrap=True), "outcome", "time [s]", "driven [m]", "recoveries", "closest [m]", "x real time")
     recordings = []
     for name in WORLDS:
         print(f"appli demo: driving {name} ...", file=sys.stderr, flush=True)

@@ -218,7 +218,7 @@ def test_a_rolling_map_shows_the_same_costs_as_a_fixed_one(seed: int) -> None:
 
 def test_after_the_clearing_recovery_the_whole_map_is_written_again() -> None:
     layer, costmap = drive(FIXED, [0.3])[-1]
-    cleared = clear_outside(layer, Pose2(0.0, 0.0, 0.0), 1.0, enabled=True)
+    cleared = clear_outside(layer, Pose2(0.0, 0.0, 0.0), 1.0)
     blind = update_obstacles(cleared, FIXED, np.empty((0, 3), np.float32), (0.0, 0.0, 0.2), Pose2(0.0, 0.0, 0.0))
     updated = update_costmap(costmap, blind, FIXED, 0.3)
     assert updated.window == (0, 0, 120, 120)
