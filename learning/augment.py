@@ -10,13 +10,15 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
-from learning.classifier import BEAMS, CROP, MAX_RANGE, Floats, crop, fill_gaps
+from learning.classifier import BEAMS, CROP, MAX_RANGE, Floats, fill_gaps
+from learning.labelled_scans import Integers
+from twin.compiled import compiled
 from twin.records import Array
 
 FIELD_OF_VIEW = 2 * 2.35619  # [rad] first to last beam (hokuyo_ust10.urdf.xacro)
 BEARINGS = np.linspace(-FIELD_OF_VIEW / 2, FIELD_OF_VIEW / 2, BEAMS)  # (720,) [rad] sensor frame
+DIRECTIONS = np.column_stack([np.cos(BEARINGS), np.sin(BEARINGS)])  # (720, 2) unit vectors
 EDGE = 0.3  # [m] neighbouring returns farther apart than this are two surfaces, not one
 
 
@@ -48,7 +50,7 @@ def translate(ranges: Array, dx: float, dy: float) -> Array:
     seen and is no return.
     """
     moved: Array = np.full(len(ranges), np.inf)
-    _rescan(np.ascontiguousarray(ranges, dtype=np.float64), BEARINGS, dx, dy, moved)
+    _rescan(np.ascontiguousarray(ranges, dtype=np.float64), DIRECTIONS, dx, dy, moved)
     seen = np.flatnonzero(np.isfinite(moved))
     if len(seen):  # the scan's ends, where nothing outside the field of view could be moved in
         if np.isfinite(ranges[0]):
@@ -58,46 +60,51 @@ def translate(ranges: Array, dx: float, dy: float) -> Array:
     return moved
 
 
-@njit(cache=True)  # type: ignore[misc]
-def _rescan(ranges: Array, bearings: Array, dx: float, dy: float, moved: Array) -> None:
-    """Fill `moved` with the nearest crossing per beam; see translate()."""
+@compiled
+def _rescan(ranges: Array, directions: Array, dx: float, dy: float, moved: Array) -> None:
+    """Fill `moved` with the nearest crossing per beam; see translate(). directions: (n, 2) cosine and sine."""
     n = len(ranges)
-    first, step = bearings[0], (bearings[n - 1] - bearings[0]) / (n - 1)
+    first, step = -FIELD_OF_VIEW / 2, FIELD_OF_VIEW / (n - 1)
     previous_x = previous_y = previous_beam = 0.0
     previous = False
     for i in range(n):
         if not math.isfinite(ranges[i]):
             previous = False
             continue
-        x = ranges[i] * math.cos(bearings[i]) - dx
-        y = ranges[i] * math.sin(bearings[i]) - dy
+        x, y = ranges[i] * directions[i, 0] - dx, ranges[i] * directions[i, 1] - dy
         beam = (math.atan2(y, x) - first) / step
         nearest = round(beam)
         if 0 <= nearest < n:
             moved[nearest] = min(moved[nearest], math.hypot(x, y))
-        if previous and math.hypot(x - previous_x, y - previous_y) < EDGE and abs(beam - previous_beam) < n // 3:
+        ex, ey = x - previous_x, y - previous_y
+        if previous and ex * ex + ey * ey < EDGE * EDGE and abs(beam - previous_beam) < n // 3:
             low, high = min(beam, previous_beam), max(beam, previous_beam)
             for k in range(max(0, math.ceil(low)), min(n - 1, math.floor(high)) + 1):
-                # Crossing of the ray (c, s) r with the line through both points.
-                c, s = math.cos(bearings[k]), math.sin(bearings[k])
-                across = c * (y - previous_y) - s * (x - previous_x)
+                # Crossing of the ray r (c, s) with the line through both points.
+                across = directions[k, 0] * ey - directions[k, 1] * ex
                 if abs(across) > 1e-9:
-                    r = (previous_x * (y - previous_y) - previous_y * (x - previous_x)) / across
+                    r = (previous_x * ey - previous_y * ex) / across
                     if r > 0.0:
                         moved[k] = min(moved[k], r)
         previous, previous_x, previous_y, previous_beam = True, x, y, beam
 
 
-def augmented(scans: Array, rng: np.random.Generator, how: Augmentation) -> Floats:
-    """Raw scans (n, 720) to varied network inputs (n, 640)."""
-    n = len(scans)
-    flipped = rng.random(n) < how.mirror
-    moves = rng.uniform(-how.translation, how.translation, (n, 2))
-    shifts = rng.integers(-how.beams, how.beams, n, endpoint=True)
-    inputs = np.empty((n, CROP), dtype=np.float32)
-    for i, ranges in enumerate(scans):
-        if how.translation > 0.0:
-            ranges = translate(ranges, moves[i, 0], moves[i, 1])
-        inputs[i] = crop(fill_gaps(mirror(ranges) if flipped[i] else ranges), int(shifts[i]))
+def augmented(scans: Array, order: Integers, rng: np.random.Generator, how: Augmentation) -> Floats:
+    """Varied network inputs (m, 640) of the raw scans (n, 720) at positions `order` (m,).
+
+    Mirror, shift and noise differ from entry to entry; a scan that comes several times is moved once.
+    """
+    used, where = np.unique(order, return_inverse=True)
+    moves = rng.uniform(-how.translation, how.translation, (len(used), 2))
+    filled = np.empty((len(used), BEAMS))
+    for i, (ranges, (dx, dy)) in enumerate(zip(scans[used], moves, strict=True)):
+        filled[i] = fill_gaps(translate(ranges, dx, dy) if how.translation > 0.0 else ranges)
+    m = len(order)
+    shifts = rng.integers(-how.beams, how.beams, m, endpoint=True)
+    beams = shifts[:, None] + (np.arange(CROP) + (BEAMS - CROP) // 2)
+    flipped = rng.random(m) < how.mirror
+    beams[flipped] = BEAMS - 1 - beams[flipped]
+    inputs = np.clip(filled[where[:, None], beams] / MAX_RANGE, 0.0, 1.0).astype(np.float32)
     noise = how.noise / MAX_RANGE  # the authors add it after clipping, so it stays visible at 5 m
-    return inputs + rng.uniform(-noise, noise, inputs.shape).astype(np.float32)
+    inputs += (2.0 * noise) * (rng.random(inputs.shape, dtype=np.float32) - np.float32(0.5))
+    return inputs

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,6 +51,10 @@ class Judgements:
     confidence: Array  # (n,) u; 0 where a scan could not be judged
     probability: Array  # (n,) expected probability of that context, alpha_max / sum(alpha); 0 likewise
 
+    def confident_share(self, threshold: float) -> float:
+        """Share of scans with u >= threshold; NaN without any scan."""
+        return _mean(self.confidence >= threshold)
+
 
 def judge_all(classifier: EvidentialClassifier, scans: Array) -> Judgements:
     """Judge raw scans (n, 720) as the robot would."""
@@ -61,16 +66,39 @@ def judge_all(classifier: EvidentialClassifier, scans: Array) -> Judgements:
     )
 
 
-def accuracy(judgements: Judgements, truth: NDArray[np.int64]) -> float:
-    """Share judged right, of all scans; NaN without any."""
-    return float(np.mean(judgements.index == truth)) if len(truth) else float("nan")
+@dataclass(frozen=True, slots=True)
+class Assessment:
+    """How a classifier does on scans whose contexts are known. Means are NaN without any scan."""
+
+    scans: int
+    accuracy: float  # share judged right
+    confidence: float  # mean u
+    confident_share: float  # share with u >= threshold
+    confident_accuracy: float  # share judged right among those
+    accuracy_by_context: dict[str, float]
+    confidence_by_context: dict[str, float]
+    by_confidence: Reliability  # u against accuracy
+    by_probability: Reliability  # alpha_max / sum(alpha) against accuracy
 
 
-def mean_confidence(judgements: Judgements) -> float:
-    """Mean u; NaN without any scan."""
-    return float(np.mean(judgements.confidence)) if len(judgements.confidence) else float("nan")
+def assess(classifier: EvidentialClassifier, scans: Array, labels: tuple[str, ...], threshold: float) -> Assessment:
+    """Judge scans (n, 720) with their true contexts (n,), all among the classifier's."""
+    answers = judge_all(classifier, scans)
+    truth = np.array([classifier.labels.index(label) for label in labels], dtype=np.int64)
+    correct = answers.index == truth
+    of = {label: truth == k for k, label in enumerate(classifier.labels)}
+    return Assessment(
+        len(labels),
+        _mean(correct),
+        _mean(answers.confidence),
+        answers.confident_share(threshold),
+        _mean(correct[answers.confidence >= threshold]),
+        {label: _mean(correct[own]) for label, own in of.items()},
+        {label: _mean(answers.confidence[own]) for label, own in of.items()},
+        reliability(answers.confidence, correct),
+        reliability(answers.probability, correct),
+    )
 
 
-def confident_share(judgements: Judgements, threshold: float) -> float:
-    """Share of scans with u >= threshold; NaN without any scan."""
-    return float(np.mean(judgements.confidence >= threshold)) if len(judgements.confidence) else float("nan")
+def _mean(values: NDArray[np.bool_] | Array) -> float:
+    return float(np.mean(values)) if len(values) else math.nan

@@ -1,15 +1,18 @@
 """f_phi of the paper at run time: one scan in, a context and a confidence out. Numpy only.
 
 The network and its preprocessing are the authors' (`Daffan/APPLR`, `APPLX/classifier.py`): the central 640 of 720
-beams, clipped at 5 m, one convolution, one dense layer. The logits are read as evidence for a Dirichlet distribution
-(Sensoy et al. 2018): e = softplus(logits), alpha = e + 1, expected probability alpha_k / sum(alpha),
-confidence u = 1 - N / sum(alpha). Training is in `learning.evidential`.
+beams, clipped at 5 m, one convolution, dense output. Ours has a dense layer of 64 units in between: without it the
+network is too nearly linear to tell the contexts from everything else (figures in docs/learning.md). The authors' own
+has none. The logits are read as evidence for a Dirichlet distribution (Sensoy et al. 2018): e = softplus(logits),
+alpha = e + 1, expected probability alpha_k / sum(alpha), confidence u = 1 - N / sum(alpha).
+Training is in `learning.evidential`.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -42,15 +45,11 @@ def fill_gaps(ranges: Array) -> Array:
     return np.interp(beams, beams[valid], ranges[valid], left=END_RANGE, right=END_RANGE)
 
 
-def crop(filled: Array, shift: int = 0) -> Floats:
-    """The network's input (640,): central beams, `shift` of them to the left, clipped at 5 m and divided by it."""
-    start = (len(filled) - CROP) // 2 + shift
-    return (np.clip(filled[start : start + CROP], 0.0, MAX_RANGE) / MAX_RANGE).astype(np.float32)
-
-
 def preprocess(ranges: Array) -> Floats:
-    """A raw scan (720,) [m] to the network's input (640,)."""
-    return crop(fill_gaps(ranges))
+    """A raw scan (720,) [m] to the network's input (640,): central beams, clipped at 5 m and divided by it."""
+    start = (len(ranges) - CROP) // 2
+    filled = fill_gaps(ranges)[start : start + CROP]
+    return (np.clip(filled, 0.0, MAX_RANGE) / MAX_RANGE).astype(np.float32)
 
 
 def dirichlet(logits: Array) -> Array:
@@ -80,8 +79,10 @@ class EvidentialClassifier:
     labels: tuple[str, ...]
     kernel: Floats  # (40, 32) convolution: beam, filter
     kernel_bias: Floats  # (32,)
-    dense: Floats  # (121 * 32, N), inputs by place, then filter
-    dense_bias: Floats  # (N,)
+    output: Floats  # (H, N) dense; H = 121 * 32 inputs by place, then filter, without a hidden layer
+    output_bias: Floats  # (N,)
+    hidden: Floats | None = None  # (121 * 32, H) dense layer in between; None = the authors' network
+    hidden_bias: Floats | None = None  # (H,)
     beams: int = BEAMS
 
     def __post_init__(self) -> None:
@@ -89,7 +90,10 @@ class EvidentialClassifier:
             raise ValueError(f"a classifier needs two or more different contexts, not {list(self.labels)}")
         if self.beams != BEAMS:
             raise ValueError(f"the classifier is for scans of {self.beams} beams; this robot's have {BEAMS}")
-        for name, shape in weight_shapes(len(self.labels)).items():
+        if (self.hidden is None) != (self.hidden_bias is None):
+            raise ValueError("classifier weights 'hidden' and 'hidden_bias' belong together")
+        units = 0 if self.hidden_bias is None else len(np.atleast_1d(self.hidden_bias))
+        for name, shape in weight_shapes(len(self.labels), units).items():
             weights = getattr(self, name)
             if not isinstance(weights, np.ndarray) or weights.dtype != np.float32:
                 raise ValueError(f"classifier weights {name!r} must be float32")
@@ -99,10 +103,27 @@ class EvidentialClassifier:
                 raise ValueError(f"classifier weights {name!r} hold values that are not finite")
             object.__setattr__(self, name, frozen_array(np.ascontiguousarray(weights)))
 
+    @classmethod
+    def from_weights(cls, labels: tuple[str, ...], weights: Mapping[str, Floats]) -> EvidentialClassifier:
+        """The classifier with weights by name, as `weights` returns them. Raises ValueError."""
+        if unknown := set(weights) - set(WEIGHT_NAMES):
+            raise ValueError(f"unknown classifier weights {sorted(unknown)}")
+        if missing := set(WEIGHT_NAMES) - set(weights) - {"hidden", "hidden_bias"}:
+            raise ValueError(f"classifier weights {sorted(missing)} are missing")
+        return cls(
+            labels,
+            weights["kernel"],
+            weights["kernel_bias"],
+            weights["output"],
+            weights["output_bias"],
+            weights.get("hidden"),
+            weights.get("hidden_bias"),
+        )
+
     @property
     def weights(self) -> dict[str, Floats]:
         """Name to array."""
-        return {name: getattr(self, name) for name in WEIGHT_NAMES}
+        return {name: weights for name in WEIGHT_NAMES if (weights := getattr(self, name)) is not None}
 
     def check(self, scan_size: int) -> None:
         """Raises ValueError unless scans of this many beams fit."""
@@ -112,10 +133,10 @@ class EvidentialClassifier:
     def logits(self, inputs: Floats) -> Array:
         """Preprocessed scan (640,) to logits (N,)."""
         windows = sliding_window_view(inputs, KERNEL)[::STRIDE]  # (121, 40)
-        hidden = windows @ self.kernel
-        hidden += self.kernel_bias
-        np.maximum(hidden, 0.0, out=hidden)
-        return (hidden.ravel() @ self.dense + self.dense_bias).astype(np.float64)
+        features = np.maximum(windows @ self.kernel + self.kernel_bias, 0.0).ravel()
+        if self.hidden is not None and self.hidden_bias is not None:
+            features = np.maximum(features @ self.hidden + self.hidden_bias, 0.0)
+        return np.asarray(features @ self.output + self.output_bias, dtype=np.float64)
 
     def judge(self, ranges: Array) -> Judgement | None:
         """A raw scan (720,) [m] to (c, u) = f_phi(x); None when it cannot be judged.
@@ -134,14 +155,13 @@ class EvidentialClassifier:
         return Judgement(index, self.labels[index], certain, frozen_array(alpha))
 
 
-def weight_shapes(contexts: int) -> dict[str, tuple[int, ...]]:
-    """Name to shape of the weights of a classifier of so many contexts."""
-    return {
-        "kernel": (KERNEL, FILTERS),
-        "kernel_bias": (FILTERS,),
-        "dense": (STEPS * FILTERS, contexts),
-        "dense_bias": (contexts,),
-    }
+def weight_shapes(contexts: int, hidden: int) -> dict[str, tuple[int, ...]]:
+    """Name to shape of the weights of a classifier of so many contexts and hidden units (0 = no hidden layer)."""
+    features = STEPS * FILTERS
+    shapes: dict[str, tuple[int, ...]] = {"kernel": (KERNEL, FILTERS), "kernel_bias": (FILTERS,)}
+    if hidden:
+        shapes |= {"hidden": (features, hidden), "hidden_bias": (hidden,)}
+    return shapes | {"output": (hidden or features, contexts), "output_bias": (contexts,)}
 
 
-WEIGHT_NAMES = tuple(f.name for f in fields(EvidentialClassifier) if f.name not in ("labels", "beams"))
+WEIGHT_NAMES = ("kernel", "kernel_bias", "hidden", "hidden_bias", "output", "output_bias")

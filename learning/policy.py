@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 import safetensors.numpy
 
-from learning.classifier import BEAMS, WEIGHT_NAMES, EvidentialClassifier
+from learning.classifier import BEAMS, EvidentialClassifier
 from twin.planner.move_base import MoveBaseSettings
 from twin.planner.params import PARAMETER_NAMES, PlannerParams
 from twin.records import DEFAULT_CONTEXT
@@ -134,7 +134,8 @@ def policy_bytes(policy: Policy) -> bytes:
         "classifier": None if policy.classifier is None else list(policy.classifier.labels),
     }
     weights = {} if policy.classifier is None else policy.classifier.weights
-    return safetensors.numpy.save(weights, {"appli": json.dumps(metadata, sort_keys=True, allow_nan=False)})
+    text = json.dumps(metadata, sort_keys=True, allow_nan=False)
+    return bytes(safetensors.numpy.save(weights, {"appli": text}))
 
 
 def save_policy(policy: Policy, path: Path) -> None:
@@ -217,9 +218,7 @@ def _policy(fields: _Fields, tensors: Mapping[str, Any]) -> Policy:
     if (labels := fields.values.get("classifier")) is not None:
         if not isinstance(labels, list) or not all(isinstance(label, str) for label in labels):
             raise ValueError("'classifier' must list the names of its contexts")
-        if set(tensors) != set(WEIGHT_NAMES):
-            raise ValueError(f"its weights are {sorted(tensors)}, not {sorted(WEIGHT_NAMES)}")
-        classifier = EvidentialClassifier(tuple(labels), **{k: np.array(v) for k, v in tensors.items()})
+        classifier = EvidentialClassifier.from_weights(tuple(labels), {k: np.array(v) for k, v in tensors.items()})
     elif tensors:
         raise ValueError("weights without a classifier")
     return Policy(
@@ -248,7 +247,7 @@ def _policy(fields: _Fields, tensors: Mapping[str, Any]) -> Policy:
 def _theta(fields: _Fields) -> PlannerParams:
     if set(fields.values) != set(PARAMETER_NAMES):
         raise ValueError(f"{fields.name} must hold {', '.join(PARAMETER_NAMES)}")
-    return PlannerParams.from_mapping(fields.values)
+    return PlannerParams.from_mapping({name: fields.number(name) for name in PARAMETER_NAMES})
 
 
 def _no_constant(name: str) -> float:

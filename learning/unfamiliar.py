@@ -15,18 +15,20 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+from numpy.typing import NDArray
 
 from learning.augment import BEARINGS
 from learning.classifier import BEAMS, Floats, preprocess
+from learning.labelled_scans import Integers
+from twin.compiled import compiled
 from twin.records import Array
 
 MAX_SCAN_RANGE = 30.0  # [m] of the lidar; beyond is no return
 FREE_RADIUS = 0.25  # [m] kept clear round the sensor: the robot stands there
-FAMILIAR_QUANTILE = 0.95  # of the distances between training scans of different blocks: inside is familiar
+FAMILIAR_QUANTILE = 0.5  # of the distances between training scans of different blocks: inside is familiar
 
 
-def made_up_scans(scans: Array, labels: Array, blocks: Array, count: int, rng: np.random.Generator) -> Array:
+def made_up_scans(scans: Array, labels: Integers, blocks: Integers, count: int, rng: np.random.Generator) -> Array:
     """About `count` unfamiliar scans (m, 720) for training scans (n, 720) with context indices and block ids (n,)."""
     composed = np.array([scan_of(*compose_place(rng)) for _ in range(count - count // 2)]).reshape(-1, BEAMS)
     distorted = np.array([distort(scans, labels, rng) for _ in range(count // 2)]).reshape(-1, BEAMS)
@@ -45,7 +47,7 @@ def scan_of(segments: Array, circles: Array) -> Array:
     return ranges
 
 
-@njit(cache=True)  # type: ignore[misc]
+@compiled
 def _cast(segments: Array, circles: Array, bearings: Array, ranges: Array) -> None:
     for k in range(len(bearings)):
         c, s = math.cos(bearings[k]), math.sin(bearings[k])
@@ -140,7 +142,7 @@ def _distance_to_origin(segments: Array) -> Array:
     return np.asarray(np.linalg.norm(start + t[:, None] * along, axis=1))
 
 
-def distort(scans: Array, labels: Array, rng: np.random.Generator) -> Array:
+def distort(scans: Array, labels: Integers, rng: np.random.Generator) -> Array:
     """A scan (720,) of no place: pieces of two contexts, scaled ranges, or a turn by more than 45 degrees."""
     i, j = rng.integers(0, len(scans), 2)
     others = np.flatnonzero(labels != labels[i])
@@ -155,7 +157,7 @@ def distort(scans: Array, labels: Array, rng: np.random.Generator) -> Array:
     return np.roll(scans[i], rng.integers(BEAMS // 6, BEAMS - BEAMS // 6))
 
 
-def familiar(candidates: Array, scans: Array, labels: Array, blocks: Array) -> Array:
+def familiar(candidates: Array, scans: Array, labels: Integers, blocks: Integers) -> NDArray[np.bool_]:
     """(m,) whether a scan is as close to a training scan, or its mirror image, as those are to each other.
 
     Close: root mean square of the difference of the network's inputs. The radius is a quantile, over the training
@@ -169,10 +171,10 @@ def familiar(candidates: Array, scans: Array, labels: Array, blocks: Array) -> A
     radius = float(np.quantile(finite, FAMILIAR_QUANTILE)) if len(finite) else 0.0
     made = np.array([preprocess(scan) for scan in candidates])
     closest = np.minimum(_distances(made, known).min(axis=1), _distances(made[:, ::-1], known).min(axis=1))
-    return np.asarray(closest <= radius)
+    return np.asarray(closest <= radius, dtype=np.bool_)
 
 
 def _distances(a: Floats, b: Floats) -> Array:
     """(n, m) root mean square differences of inputs (n, 640) and (m, 640)."""
     squares = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1)[None, :] - 2.0 * (a @ b.T)
-    return np.sqrt(np.maximum(squares, 0.0) / a.shape[1]).astype(np.float64)
+    return np.asarray(np.sqrt(np.maximum(squares, 0.0) / a.shape[1]), dtype=np.float64)
