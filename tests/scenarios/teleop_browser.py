@@ -17,7 +17,9 @@ from websockets.sync.client import ClientConnection, connect
 NAMES = ("chromium", "chromium-browser", "google-chrome")
 FLAGS = (
     "--headless", "--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync", "--remote-debugging-port=0",
+    "--disable-background-timer-throttling", "--disable-backgrounding-occluded-windows",
+    "--disable-renderer-backgrounding", "--disable-background-networking", "--disable-component-update",
+    "--disable-sync", "--remote-debugging-port=0",
 )  # fmt: skip
 CODES = {" ": "Space", "Enter": "Enter", "Backspace": "Backspace", "Shift": "ShiftLeft"}
 VIRTUAL = {"Enter": 13, "Backspace": 8, "Shift": 16}
@@ -90,7 +92,9 @@ def page(url: str, profile: Path, size: tuple[int, int] = (1280, 800)) -> Iterat
         with connect(f"ws://127.0.0.1:{port}{path}", max_size=None) as root:
             target = Page(root).call("Target.createTarget", url=url)["targetId"]
             with connect(f"ws://127.0.0.1:{port}/devtools/page/{target}", max_size=None) as connection:
-                yield Page(connection)
+                shown = Page(connection)
+                shown.call("Page.bringToFront")  # a page behind another draws next to nothing
+                yield shown
     finally:
         browser.terminate()
         browser.wait(10)

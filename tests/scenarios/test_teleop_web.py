@@ -25,7 +25,7 @@ from scenarios.surfaces.studio import Guard, open_web
 from scenarios.worlds import load_world
 from tests.scenarios.teleop_browser import chromium, page
 
-SLOW = 1.5  # [s] per picture: with a page slower than this nobody can drive
+SLOW = 3.0  # [s] per picture: a page slower than this would take minutes to drive
 MAIN = """
 import json, sys, time
 from pathlib import Path
