@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage, sparse
 from scipy.sparse.csgraph import dijkstra
 
@@ -103,7 +104,7 @@ def _search(space: FreeSpace, start: Pose2, goal: Pose2) -> Array:
     return np.concatenate([[[start.x, start.y]], centres[1:-1], [[goal.x, goal.y]]])
 
 
-def _nearest(free: Array, cell: Array) -> tuple[int, int]:
+def _nearest(free: NDArray[np.bool_], cell: NDArray[np.int64]) -> tuple[int, int]:
     """The passable cell nearest to a cell: a robot in a tight spot begins beside the passable ones."""
     row, column = int(cell[0]), int(cell[1])
     if free[row, column]:
@@ -116,7 +117,8 @@ def _resample(points: Array) -> Array:
     """The same line with points every SPACING metres."""
     length = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T))]
     at = np.linspace(0.0, length[-1], max(2, round(length[-1] / SPACING) + 1))
-    return np.c_[np.interp(at, length, points[:, 0]), np.interp(at, length, points[:, 1])]
+    even: Array = np.c_[np.interp(at, length, points[:, 0]), np.interp(at, length, points[:, 1])]
+    return even
 
 
 def _sample(space: FreeSpace, points: Array) -> Array:

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Column, Table
 
 from scenarios.errors import blame
-from scenarios.run import compile_kernels
+from scenarios.run import compile_kernels, recording_metadata
 from scenarios.trials import TrialSpec, run_trial
 from scenarios.worlds import load_world
 from twin.recording import Recorder
@@ -23,14 +23,15 @@ def demo_command(out: Path, seed: int) -> int:
     with blame(f"cannot use the folder {out}"):
         out.mkdir(parents=True, exist_ok=True)
     compile_kernels()
-    table = Table(Column("world", no_wrap=True), "outcome", "time [s]", "driven [m]", "recoveries", "closest [m]", "x real time")
+    world_column = Column("world", no_wrap=True)
+    table = Table(world_column, "outcome", "time [s]", "driven [m]", "recoveries", "closest [m]", "x real time")
     recordings = []
     for name in WORLDS:
         print(f"appli demo: driving {name} ...", file=sys.stderr, flush=True)
         spec, world = TrialSpec(name, seed=seed), load_world(name)
         path = out / f"{name.replace('/', '-')}.rrd"
         began = time.perf_counter()
-        metadata = {"world": world.name, "driver": spec.driver, "seed": seed, "protocol": world.rules.protocol}
+        metadata = recording_metadata(spec, world)
         with blame(), Recorder(path, world, metadata) as recorder:
             result = run_trial(spec, world, recorder.add, explain=True)
         wall = time.perf_counter() - began

@@ -88,13 +88,18 @@ def _run_watched(spec: TrialSpec, world: World, record: Path | None, quiet: bool
             from twin.recording import Recorder
 
             with blame():
-                metadata = {"world": world.name, "driver": spec.driver, "seed": spec.seed, "protocol": world.rules.protocol}
+                metadata = recording_metadata(spec, world)
                 recorder = stack.enter_context(Recorder(record, world, metadata))
             watchers.append(recorder.add)
         if not quiet:
             stack.callback(lambda: print(file=sys.stderr))
         with blame():
             return run_trial(spec, world, lambda tick: [watch(tick) for watch in watchers], explain=record is not None)
+
+
+def recording_metadata(spec: TrialSpec, world: World) -> dict[str, str | int]:
+    """What a recording says of itself."""
+    return {"world": world.name, "driver": spec.driver, "seed": spec.seed, "protocol": world.rules.protocol}
 
 
 def _progress(tick: Tick) -> None:

@@ -105,4 +105,5 @@ class ParameterSpace:
     def encode(self, theta: PlannerParams) -> Array:
         """Parameters to the unit cube (8,), clipped to it."""
         low, high = np.array(self.lower), np.array(self.upper)
-        return np.clip((theta.as_array() - low) / (high - low), 0.0, 1.0)
+        unit: Array = np.clip((theta.as_array() - low) / (high - low), 0.0, 1.0)
+        return unit
