@@ -11,7 +11,8 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
-from scenarios.bench_planner import find_best_path_times
+from scenarios.bench_planner import CPP_MS, find_best_path_times
+from scenarios.collect import Collected, Session
 from scenarios.trials import TrialSpec, make_driver, make_simulation
 from scenarios.warm_up import warm_up
 from scenarios.worlds import load_world
@@ -22,9 +23,6 @@ from twin.rollout import rollout
 WORLDS = ("barn-like/50", "barn-like/150", "barn-like/250")
 SIMULATED = 15.0  # [s] of every trial that are timed
 B2 = PlannerParams(0.72, 0.73, 19, 59, 0.62, 1.00, 0.32, 0.24)  # the paper's Table I, second "B1"
-
-# findBestPath of ROS's C++ on the anchor scenes [ms] (golden/README.md of the conformance data)
-CPP_MS = {"default": 1.5, "default_19x59": 10.0, "b2": 11.5, "fast_19x59": 28.0}
 
 # figure -> (must, aim) for what is a ratio or an absolute limit
 TARGETS: dict[str, tuple[float, float]] = {
@@ -125,11 +123,24 @@ def numba_compile_seconds() -> float:
         return first - child(code, NUMBA_CACHE_DIR=cache)
 
 
+def fit_seconds() -> tuple[float, int]:
+    """Seconds for Eq. 1 on one intervention of the synthetic intervener, and its number of steps."""
+    from learning.fit import FitSettings, fit
+
+    kept: list[Collected] = []
+    Session(TrialSpec("training"), load_world("training")).run(kept.append)
+    longest = max((c.intervention for c in kept), key=lambda i: len(i.steps))
+    fit(longest, FitSettings(max_evaluations=1, restarts=0))  # compiles
+    return fit(longest).seconds, len(longest.steps)
+
+
 def measure(repeats: int = 2) -> dict[str, Any]:
     """All figures."""
     warm_up()
     figures: dict[str, Any] = {name: round(value, 3) for name, value in loop_figures(repeats).items()}
     figures["find_best_path_ms"] = {name: round(ms, 4) for name, ms in find_best_path_times().items()}
+    seconds, steps = fit_seconds()
+    figures["fit_seconds"], figures["fit_steps"] = round(seconds, 2), steps
     figures["worker_rss_mb"] = round(worker_rss_mb(), 1)
     figures["numba_compile_seconds"] = round(numba_compile_seconds(), 1)
     return figures
