@@ -203,7 +203,10 @@ def test_a_whole_intervention_with_rewind_from_the_keyboard_of_a_browser(session
     assert session.now().get("index", 0) == 0  # it waits for somebody
     with page(session.url, tmp_path / "profile", size=(320, 240)) as browser:
         session.wait(lambda now: now["index"] > 60, 60.0)
-        if (slowest := session.slowest_picture(4.0)) > SLOW:
+        patience = time.monotonic() + 40.0  # the first pictures are slow anywhere
+        while (slowest := session.slowest_picture(2.0)) > SLOW and time.monotonic() < patience:
+            pass
+        if slowest > SLOW:
             pytest.skip(f"too slow to drive: without a graphics card, this busy, a picture takes {slowest:.1f} s")
         browser.click(160, 120)
 
