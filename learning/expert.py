@@ -9,13 +9,14 @@ import numpy as np
 
 from learning.route import Pace, Route
 from twin.geometry import normalize_angle
-from twin.records import Array, Command, Pose2
+from twin.records import STOP, Array, Command, Pose2
 
 TICK = 0.05  # [s]
 REACTION = 0.2  # [s] until the hand acts after taking over
 V_RAMP = 2.0  # [m/s2] the stick is not slammed
 W_RAMP = 6.0  # [rad/s2]
-TURN_FIRST = 0.9  # [rad] heading errors above this are turned away in place
+GOOD_OFFSET, GOOD_HEADING = 0.12, 0.35  # [m], [rad] from the route: a good state
+TURN_FIRST = 0.6  # [rad] heading errors above this are turned away in place
 UNSTEADY_V = 0.01  # [m/s] standard deviation of the hand's wander
 UNSTEADY_W = 0.02  # [rad/s]
 WANDER_TIME = 0.5  # [s] correlation of the wander
@@ -54,6 +55,14 @@ class Expert:
         """Whether the route is done."""
         return hand.progress >= len(self.route.points) - 4
 
+    def is_good(self, hand: Hand, pose: Pose2) -> bool:
+        """Whether the robot is on the route, pointing along it: a state worth learning from."""
+        i = min(hand.progress, len(self.route.points) - 2)
+        here, there = self.route.points[i], self.route.points[i + 1]
+        along = math.atan2(float(there[1] - here[1]), float(there[0] - here[0]))
+        off = math.hypot(float(here[0]) - pose.x, float(here[1]) - pose.y)
+        return off < GOOD_OFFSET and abs(normalize_angle(along - pose.yaw)) < GOOD_HEADING
+
     def _wish(self, progress: int, pose: Pose2, v: float) -> Command:
         """Pure pursuit at the route's speed; a turn in place first when the route points elsewhere."""
         ahead = 0.30 + 0.35 * max(v, 0.0)
@@ -68,6 +77,37 @@ class Expert:
         if abs(curvature) > 1e-6:
             speed = min(speed, self.pace.turn / abs(curvature))
         return Command(speed, speed * curvature)
+
+
+RETREAT_SPEED, RETREAT_TURN = 0.25, 0.8  # [m/s], [rad/s]
+RETREAT_AHEAD = 0.3  # [m] along the trail
+ROOM = 0.40  # [m] around the robot's centre: enough to turn on the spot
+
+
+@dataclass(frozen=True, slots=True)
+class Retreat:
+    """Backing out the way the robot came, until there is room to turn."""
+
+    trail: Array  # (n, 2) world [m], newest first
+
+    def drive(self, hand: Hand, pose: Pose2, rng: np.random.Generator) -> tuple[Command, Hand]:
+        """As `Expert.drive`, backwards along the trail."""
+        wander = _wander(hand.wander, rng)
+        if hand.age < REACTION - 1e-9:
+            return STOP, Hand(STOP, hand.age + TICK, wander, hand.progress)
+        progress = _nearest_ahead(self.trail, hand.progress, pose)
+        far = np.hypot(self.trail[progress:, 0] - pose.x, self.trail[progress:, 1] - pose.y) > RETREAT_AHEAD
+        target = self.trail[progress + int(np.argmax(far))] if far.any() else self.trail[-1]
+        bearing = math.atan2(float(target[1]) - pose.y, float(target[0]) - pose.x)
+        error = normalize_angle(bearing - pose.yaw - math.pi)
+        wish = min(max(2.0 * error, -RETREAT_TURN), RETREAT_TURN) + wander[1] * UNSTEADY_W
+        v = _ramp(hand.command.v, -RETREAT_SPEED, V_RAMP * TICK)
+        command = Command(v, _ramp(hand.command.w, wish, W_RAMP * TICK))
+        return command, Hand(command, hand.age + TICK, wander, progress)
+
+    def at_end(self, hand: Hand) -> bool:
+        """Whether the trail is used up."""
+        return hand.progress >= len(self.trail) - 2
 
 
 def _nearest_ahead(points: Array, start: int, pose: Pose2) -> int:

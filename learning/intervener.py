@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from learning.bystander import Bystander, Sight, Trouble
-from learning.expert import Expert, Hand
+from learning.expert import ROOM, Expert, Hand, Retreat
 from learning.interventions import Kind
 from learning.route import BRISK, CAREFUL, distance_field, plan_route
 from twin.free_space import FreeSpace, free_space
-from twin.records import Command, Pose2
+from twin.records import Array, Command, Pose2, Twist2
 from twin.world import Segment, World
 
 TICK = 0.05  # [s]
@@ -56,9 +56,13 @@ def _inside(polygon: tuple[tuple[float, float], ...], x: float, y: float) -> boo
 class Intervener:
     """Watches one drive. Mutable: it has a memory like a person."""
 
-    def __init__(self, world: World) -> None:
-        """Learns the true map and the ways through it. Raises UnreachableError when no way leads to the goal."""
+    def __init__(self, world: World, rewinding: bool = True) -> None:
+        """Learns the true map and the ways through it. Raises UnreachableError when no way leads to the goal.
+
+        Without rewinding it acts on everything at once, and has no use for type D.
+        """
         self.world = world
+        self._rewinding = rewinding
         self.space: FreeSpace = free_space(world)
         self._bystander = Bystander(self.space, distance_field(self.space, world.goal))
         self._poses: dict[int, Pose2] = {}
@@ -82,6 +86,9 @@ class Intervener:
         if urgent is not None:
             return self._plea("A", urgent.reason, urgent.began, index, self._place_of(urgent.began))
         self._pending = self._pending or self._new_trouble(index)
+        if self._pending is not None and not self._rewinding:
+            pending, self._pending = self._pending, None
+            return self._plea("B", pending.reason, pending.began, index, self._place)
         left = place != self._place or over
         if left or (not self.world.segments and self._has_settled(pose)):
             return self._leave(index, place)
@@ -100,7 +107,7 @@ class Intervener:
             return None
         if pending is not None:
             return self._plea("B", pending.reason, pending.began, index, here)
-        if here and (index - entered) * TICK >= ORDINARY_TIME:
+        if self._rewinding and here and (index - entered) * TICK >= ORDINARY_TIME:
             return self._plea("D", "the default works here", entered, index, here)
         return None
 
@@ -146,29 +153,57 @@ class Intervener:
 class Demonstration:
     """A drive by hand, in progress: state in, state out."""
 
-    expert: Expert
+    world: World
+    space: FreeSpace
+    expert: Expert | Retreat
     hand: Hand
-    place: str
+    plea: Plea
     started: int  # tick
+    good: bool  # whether what is driven now is worth learning from
 
     @classmethod
-    def begin(cls, intervener: Intervener, plea: Plea, index: int, pose: Pose2, v: float, w: float) -> Demonstration:
-        """Take over at `pose` (true) while the robot moves at v [m/s], w [rad/s]."""
-        pace = CAREFUL if plea.kind == "D" else BRISK
-        expert = Expert(plan_route(intervener.space, pose, intervener.world.goal, pace), pace)
-        return cls(expert, Hand(Command(v, w)), plea.place, index)
+    def begin(
+        cls, intervener: Intervener, plea: Plea, index: int, pose: Pose2, twist: Twist2, trail: Array | None = None
+    ) -> Demonstration:
+        """Take over at `pose` (true). A `trail` (n, 2), newest first, says that the robot was not rewound.
+
+        Such a robot may stand where no forward drive leads out; it backs along the trail first, and nothing is worth
+        learning from until a good state is reached.
+        """
+        world, space, hand = intervener.world, intervener.space, Hand(Command(twist.v, twist.w))
+        if trail is not None and not _has_room(space, pose):
+            return cls(world, space, Retreat(trail), hand, plea, index, good=False)
+        return cls(world, space, _expert(world, space, plea, pose), hand, plea, index, good=trail is None)
 
     def drive(self, pose: Pose2, rng: np.random.Generator) -> tuple[Command, Demonstration]:
         """The next command."""
-        command, hand = self.expert.drive(self.hand, pose, rng)
-        return command, replace(self, hand=hand)
+        now = self
+        if isinstance(self.expert, Retreat) and (_has_room(self.space, pose) or self.expert.at_end(self.hand)):
+            hand = Hand(self.hand.command, self.hand.age, self.hand.wander)
+            now = replace(self, expert=_expert(self.world, self.space, self.plea, pose), hand=hand)
+        command, hand = now.expert.drive(now.hand, pose, rng)
+        good = now.good or (isinstance(now.expert, Expert) and now.expert.is_good(hand, pose))
+        return command, replace(now, hand=hand, good=good)
 
-    def is_over(self, world: World, index: int, pose: Pose2) -> bool:
+    def is_over(self, index: int, pose: Pose2) -> bool:
         """Handed back: the place lies behind, after LEAST and at the latest after MOST seconds."""
         seconds = (index - self.started) * TICK
-        if seconds >= MOST or self.expert.at_end(self.hand):
+        if seconds >= MOST:
             return True
-        segment = segment_at(world, pose)
-        left = bool(self.place) and (segment is None or segment.name != self.place)
-        settled = not self.place and self.expert.route.clearance[self.hand.progress] > 0.6
+        if isinstance(self.expert, Retreat):
+            return False
+        if self.expert.at_end(self.hand):
+            return True
+        segment = segment_at(self.world, pose)
+        left = bool(self.plea.place) and (segment is None or segment.name != self.plea.place)
+        settled = not self.plea.place and self.expert.route.clearance[self.hand.progress] > 0.6
         return seconds >= LEAST and (left or settled)
+
+
+def _expert(world: World, space: FreeSpace, plea: Plea, pose: Pose2) -> Expert:
+    pace = CAREFUL if plea.kind == "D" else BRISK
+    return Expert(plan_route(space, pose, world.goal, pace), pace)
+
+
+def _has_room(space: FreeSpace, pose: Pose2) -> bool:
+    return float(space.at(np.array([[pose.x, pose.y]]))[0]) >= ROOM

@@ -60,6 +60,7 @@ def collect(
     out: Path,
     protocol: Protocol = "appli",
     seed: int = 0,
+    rewind: bool = True,
     record: bool = False,
 ) -> int:
     """Watch the default planner, intervene like a person, and write the interventions (types A, B and D).
@@ -69,11 +70,13 @@ def collect(
         out: Folder for the interventions, one .npz each.
         protocol: Start, goal, tolerance and time limit of BARN worlds.
         seed: Root of all noise.
+        rewind: --no-rewind takes over where the robot failed and brings it to a good state first; only what follows
+            is learnt from, and type D is left out.
         record: Write a recording of each demonstration beside it.
     """
     from scenarios.collect import collect_command
 
-    return collect_command(world, out, protocol, seed, record)
+    return collect_command(world, out, protocol, seed, rewind, record)
 
 
 def teleop(

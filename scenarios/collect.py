@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,12 +20,14 @@ from scenarios.errors import UserError, blame
 from scenarios.run import compile_kernels
 from scenarios.trials import TrialSpec, make_driver, make_simulation
 from scenarios.worlds import load_world
-from twin.records import Command, Pose2, Tick
+from twin.geometry import distance
+from twin.records import STOP, Array, Pose2, Tick
 from twin.rewind import Tape
 from twin.rollout import Loop
 from twin.world import World
 
 TICK = 0.05  # [s]
+TRAIL_SPACING = 0.04  # [m]
 TAPE = 60.0  # [s] that can be wound back
 PATIENCE = 12  # interventions at one place before the session gives up
 
@@ -42,11 +45,14 @@ class Collected:
 class Session:
     """One drive with interventions."""
 
-    def __init__(self, spec: TrialSpec, world: World, say: Callable[[str], None] = lambda _: None) -> None:
-        """`say` hears what is going on, in words."""
+    def __init__(
+        self, spec: TrialSpec, world: World, say: Callable[[str], None] = lambda _: None, rewinding: bool = True
+    ) -> None:
+        """`say` hears what is going on, in words. Without rewinding the person takes over where the robot is."""
+        self._rewinding = rewinding
         self._spec, self._world, self._say = spec, world, say
         self._tape = Tape(Loop(make_simulation(spec, world), make_driver(spec)), TAPE)
-        self._intervener = Intervener(world)
+        self._intervener = Intervener(world, rewinding)
         self._rng = np.random.default_rng([spec.seed, world.index, spec.run, 1])  # the human's hand
         self._ticks: dict[int, Tick] = {}
         self._counts = {"A": 0, "B": 0, "D": 0}
@@ -60,7 +66,7 @@ class Session:
             self._ticks[tick.index] = tick
             over = tick.outcome is not None
             plea = self._intervener.watch(tick.index, tick.true_pose, over, tick.contact is not None)
-            if plea is None:
+            if plea is None or (over and not self._rewinding):  # without rewinding, over is over
                 continue
             new = self._intervener.is_new(plea)
             if not new:
@@ -79,17 +85,17 @@ class Session:
         After a failure (type A) the default goes on from where the person hands back. Where it had managed by itself
         (types B and D) it goes on from where it had got to: the better drive was an excursion.
         """
-        start = max(plea.start, self._tape.oldest)
-        began = self._ticks[max(plea.began, start)].observation
-        rewound = (plea.noticed - start) * TICK
-        if plea.kind == "A":
+        start = max(plea.start, self._tape.oldest) if self._rewinding else self._tape.position
+        began = self._ticks[max(plea.began, start) if self._rewinding else plea.began].observation
+        rewound = max(0.0, (plea.noticed - start) * TICK)
+        if plea.kind == "A" or not self._rewinding:
             self._tape.rewind(start)
-            ticks = self._drive_by_hand(plea, start)
+            ticks, good = self._drive_by_hand(plea, start)
             over = ticks[-1].outcome is not None
             self._intervener.resume(plea, self._tape.position, self._tape.loop.simulation.true_pose)
         else:
             with self._tape.excursion(start):
-                ticks = self._drive_by_hand(plea, start)
+                ticks, good = self._drive_by_hand(plea, start)
             self._intervener.settle(plea)
         self._counts[plea.kind] += new
         label = f"{plea.kind}{self._counts[plea.kind]}"
@@ -103,32 +109,44 @@ class Session:
             rewound=rewound,
             versions={name: version(name) for name in ("appli-twin", "mujoco", "numpy")},
         )
-        steps = [Step(t.observation, t.applied or Command(0.0, 0.0), labelled=True) for t in ticks]
+        steps = [Step(t.observation, t.applied or STOP, labelled=worth) for t, worth in zip(ticks, good, strict=True)]
         if new:
             self._say(f"{label} at {_where(plea, ticks[0].true_pose)}: {plea.reason}")
         clearance = min(t.clearance for t in ticks)
         return Collected(Intervention(plea.kind, label, steps, metadata), plea.place, clearance, tuple(ticks)), over
 
-    def _drive_by_hand(self, plea: Plea, start: int) -> list[Tick]:
-        """The person's drive from tick `start`, until handed back or the trial ends."""
-        simulation, twist = self._tape.loop.simulation, self._ticks[start].observation.twist
-        by_hand = Demonstration.begin(self._intervener, plea, start, simulation.true_pose, twist.v, twist.w)
+    def _drive_by_hand(self, plea: Plea, start: int) -> tuple[list[Tick], list[bool]]:
+        """The person's drive from tick `start` until handed back or the trial ends; which ticks are worth learning."""
+        simulation, twist = self._tape.loop.simulation, self._ticks[min(start, plea.noticed)].observation.twist
+        trail = None if self._rewinding else self._trail(plea.noticed)
+        by_hand = Demonstration.begin(self._intervener, plea, start, simulation.true_pose, twist, trail)
         ticks: list[Tick] = []
-        while not (ticks and by_hand.is_over(self._world, self._tape.position, simulation.true_pose)):
+        good: list[bool] = []
+        while not (ticks and by_hand.is_over(self._tape.position, simulation.true_pose)):
             command, by_hand = by_hand.drive(simulation.true_pose, self._rng)
             ticks.append(self._tape.step(command))
-            if plea.kind == "A":
+            good.append(by_hand.good)
+            if plea.kind == "A" or not self._rewinding:
                 self._ticks[ticks[-1].index] = ticks[-1]
             if ticks[-1].outcome is not None:
                 break
-        return ticks
+        return ticks, good
+
+    def _trail(self, newest: int) -> Array:
+        """(n, 2) where the robot has been, newest first, a point every few centimetres."""
+        points = [self._ticks[newest].true_pose]
+        for index in range(newest, min(self._ticks) - 1, -1):
+            pose = self._ticks[index].true_pose
+            if distance(pose, points[-1]) > TRAIL_SPACING:
+                points.append(pose)
+        return np.array([[p.x, p.y] for p in points])
 
 
 def _where(plea: Plea, pose: Pose2) -> str:
     return plea.place or f"({pose.x:.1f}, {pose.y:.1f})"
 
 
-def collect_command(world_name: str, out: Path, protocol: str, seed: int, record: bool) -> int:
+def collect_command(world_name: str, out: Path, protocol: str, seed: int, rewinding: bool, record: bool) -> int:
     """Run a session, write its interventions, print a table. Exit code 1 when there was nothing to intervene in."""
     if seed < 0:
         raise UserError(f"--seed must be 0 or more, not {seed}")
@@ -160,7 +178,8 @@ def collect_command(world_name: str, out: Path, protocol: str, seed: int, record
 
     spec = TrialSpec(world_name, protocol, seed=seed)
     try:
-        Session(spec, world, lambda text: print(f"appli collect: {text}", file=sys.stderr, flush=True)).run(keep)
+        say = functools.partial(print, "appli collect:", file=sys.stderr, flush=True)
+        Session(spec, world, say, rewinding).run(keep)
     except UnreachableError as error:
         raise UserError(f"{world.name}: {error}; a human could not show a way either") from error
     if count == 0:

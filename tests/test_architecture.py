@@ -65,6 +65,7 @@ DOORWAYS: dict[str, tuple[str, ...]] = {
     "dask": ("scenarios.sweep",),
     "matplotlib": ("scenarios.report", "scenarios.pictures"),
     "mujoco": ("twin.simulation", "twin.arena", "twin.robot", "scenarios.surfaces.studio"),  # Studio comes with mujoco
+    "websockets": ("scenarios.surfaces.studio",),
     "dm_control": ("twin.arena", "twin.robot"),
 }
 

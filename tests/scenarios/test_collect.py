@@ -45,6 +45,24 @@ def test_training_gives_each_context_once_in_its_place(seed: int, tmp_path: Path
 
 
 @pytest.mark.slow
+def test_without_rewinding_only_what_follows_a_good_state_is_learnt_from() -> None:
+    kept: list[Collected] = []
+    Session(TrialSpec("training", seed=3), load_world("training"), rewinding=False).run(kept.append)
+    assert {c.intervention.kind for c in kept} == {"A", "B"}
+    retreats = 0
+    for collected in kept:
+        steps, simulated = list(collected.intervention.steps), collected.ticks
+        assert collected.intervention.metadata.rewound == 0.0
+        assert all(tick.contact is None for tick in simulated)
+        labelled = [step.labelled for step in steps]
+        assert any(labelled)
+        assert labelled == sorted(labelled), "once good, always good"
+        assert all(step.action.v >= 0.0 for step in steps if step.labelled), "nobody learns to back up"
+        retreats += any(step.action.v < 0.0 for step in steps)
+    assert retreats >= 1
+
+
+@pytest.mark.slow
 def test_a_session_is_reproducible(tmp_path: Path) -> None:
     first, second = (collect("doorway", 3) for _ in range(2))
     assert [c.intervention.digest for c in first] == [c.intervention.digest for c in second]
