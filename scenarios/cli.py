@@ -39,7 +39,8 @@ def run(
     Args:
         world: Built-in name (see `appli worlds`), barn-like/K, or a file: *.world, *.npz#K, *.npy, *.toml, map.yaml,
             *.obj|stl|ply|glb.
-        driver: Who drives: dwa (move_base with one parameter set).
+        driver: Who drives: dwa (move_base with one parameter set), theta:NAME (a row of the paper's Table I, all the
+            time), or a policy (.safetensors).
         protocol: Start, goal, tolerance and time limit of BARN worlds.
         seed: Root of all noise; equal seeds give equal runs.
         params: YAML file with some of the eight planner parameters, e.g. "max_vel_x: 0.8".
@@ -109,6 +110,30 @@ def teleop(
     return teleop_command(world, out, surface, driver, protocol, seed, keys, host, port)
 
 
+def train(
+    interventions: Positional[Path],
+    /,
+    out: Path,
+    types: str = "A,B",
+    seed: int = 0,
+    confidence: bool = True,
+    all_methods: bool = False,
+) -> int:
+    """Learn a policy from a folder of interventions: parameters by CMA-ES (Eq. 1), and the context classifier.
+
+    Args:
+        interventions: Folder written by `appli collect` or `appli teleop`.
+        out: The policy, one .safetensors file; with --all-methods a folder.
+        types: Which interventions to use.
+        seed: Of the search and of the training.
+        confidence: --no-confidence never falls back to the default parameters.
+        all_methods: Make the policies of all the paper's methods: A, A+c, A+B, A+B+c, A+B+D, A+B+D+c.
+    """
+    from scenarios.training import train_command
+
+    return train_command(interventions, out, types, seed, confidence, all_methods)
+
+
 def worlds(json: bool = False) -> int:
     """List the built-in worlds.
 
@@ -149,6 +174,7 @@ COMMANDS: dict[str, Callable[..., int]] = {
     "run": run,
     "collect": collect,
     "teleop": teleop,
+    "train": train,
     "worlds": worlds,
     "bench": bench,
     "demo": demo,

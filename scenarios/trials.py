@@ -8,10 +8,14 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from learning.deploy import AppliDriver
+from learning.policy import load_policy
+from learning.published import published_parameters
 from scenarios.switches import Switches
 from scenarios.worlds import load_world
 from twin.geometry import distance
@@ -129,10 +133,21 @@ def _flat(pose: Pose2) -> tuple[float, float, float]:
 
 
 def make_driver(spec: TrialSpec, explain: bool = False) -> Driver:
-    """The driver that a spec names. Raises ValueError for an unknown one."""
-    if spec.driver != "dwa":
-        raise ValueError(f"unknown driver {spec.driver!r}; the driver known so far is 'dwa'")
-    return MoveBaseDriver(spec.params, MoveBase(move_base_settings(spec.switches), explain))
+    """The driver that a spec names: `dwa`, `theta:NAME` (a published row, all the time) or a policy file.
+
+    Raises ValueError or OSError when there is none of that name.
+    """
+    base = MoveBase(move_base_settings(spec.switches), explain)
+    if spec.driver == "dwa":
+        return MoveBaseDriver(spec.params, base)
+    if spec.driver.startswith("theta:"):
+        rows, name = published_parameters(), spec.driver.removeprefix("theta:")
+        if name not in rows:
+            raise ValueError(f"unknown parameters {spec.driver!r}; known: {', '.join(f'theta:{row}' for row in rows)}")
+        return MoveBaseDriver(rows[name], base)
+    if not spec.driver.endswith(".safetensors"):
+        raise ValueError(f"unknown driver {spec.driver!r}; give dwa, theta:NAME or a policy (.safetensors)")
+    return AppliDriver(load_policy(Path(spec.driver)), base)
 
 
 def make_simulation(spec: TrialSpec, world: World) -> Simulation:
