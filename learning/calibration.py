@@ -55,6 +55,11 @@ class Judgements:
         """Share of scans with u >= threshold; NaN without any scan."""
         return _mean(self.confidence >= threshold)
 
+    @property
+    def mean_confidence(self) -> float:
+        """Mean u; NaN without any scan."""
+        return _mean(self.confidence)
+
 
 def judge_all(classifier: EvidentialClassifier, scans: Array) -> Judgements:
     """Judge raw scans (n, 720) as the robot would."""
@@ -90,7 +95,7 @@ def assess(classifier: EvidentialClassifier, scans: Array, labels: tuple[str, ..
     return Assessment(
         len(labels),
         _mean(correct),
-        _mean(answers.confidence),
+        answers.mean_confidence,
         answers.confident_share(threshold),
         _mean(correct[answers.confidence >= threshold]),
         {label: _mean(correct[own]) for label, own in of.items()},
@@ -98,6 +103,48 @@ def assess(classifier: EvidentialClassifier, scans: Array, labels: tuple[str, ..
         reliability(answers.confidence, correct),
         reliability(answers.probability, correct),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Round:
+    """Losses after so many steps."""
+
+    steps: int
+    training: float  # mean over the round
+    validation: float  # NaN during the refit
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingReport:
+    """What training measured. Shares are of u >= threshold.
+
+    `held_out` judges the classifier before the refit, on the time blocks that it has not seen; the refitted one has
+    seen more, so it is a cautious figure. The others judge the classifier that is deployed.
+    """
+
+    contexts: tuple[str, ...]
+    training_scans: int
+    held_out: Assessment
+    unfamiliar_share: float  # confident share of made-up scans held out of training; NaN with ood_weight = 0
+    outside_share: float  # confident share of the given scans of no context; NaN without any
+    outside_confidence: float  # their mean u; NaN without any
+    best_step: int
+    rounds: tuple[Round, ...]
+    seconds: float  # wall clock
+
+    def figures(self) -> dict[str, float]:
+        """The numbers that a policy keeps about its classifier: finite ones, and no times."""
+        named = {
+            "held_out_scans": float(self.held_out.scans),
+            "held_out_accuracy": self.held_out.accuracy,
+            "held_out_confidence": self.held_out.confidence,
+            "held_out_confident_share": self.held_out.confident_share,
+            "ece_confidence": self.held_out.by_confidence.ece,
+            "ece_probability": self.held_out.by_probability.ece,
+            "unfamiliar_share": self.unfamiliar_share,
+            "outside_share": self.outside_share,
+        }
+        return {name: value for name, value in named.items() if math.isfinite(value)}
 
 
 def _mean(values: NDArray[np.bool_] | Array) -> float:

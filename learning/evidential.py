@@ -24,10 +24,10 @@ import torch
 from torch import Tensor
 
 from learning.augment import Augmentation, augmented
-from learning.calibration import Assessment, assess, judge_all
+from learning.calibration import Round, TrainingReport, assess, judge_all
 from learning.classifier import BEAMS, CROP, KERNEL, STRIDE, EvidentialClassifier, Floats, preprocess, weight_shapes
 from learning.labelled_scans import Integers, ScanDataset, balanced, split, time_blocks
-from learning.unfamiliar import made_up_scans
+from learning.unfamiliar import unfamiliar_scans
 from twin.records import Array
 
 __all__ = ["Round", "ScanDataset", "Trained", "TrainingOptions", "TrainingReport", "time_blocks", "train"]
@@ -51,49 +51,14 @@ class TrainingOptions:
     ood_scans: int = 3000  # made up once per training
     validation_share: float = 0.2  # of each context's time blocks (authors: of the steps)
     patience: int = 1500  # steps without a better validation loss after which training ends
+    refit: bool = True  # then train anew on all blocks for as many steps as proved best (authors: full_train)
     threshold: float = 0.8  # eps_u at which the report counts confident scans
     augmentation: Augmentation = field(default_factory=Augmentation)
     seed: int = 0
 
 
-PLAIN = TrainingOptions(hidden=0, learning_rate=3e-4, ood_weight=0.0)  # as published, as far as it is known
-
-
-@dataclass(frozen=True, slots=True)
-class Round:
-    """Losses after so many steps."""
-
-    steps: int
-    training: float  # mean over the round
-    validation: float
-
-
-@dataclass(frozen=True, slots=True)
-class TrainingReport:
-    """What training measured on the time blocks it held out, and outside all contexts. Shares are of u >= threshold."""
-
-    contexts: tuple[str, ...]
-    training_scans: int
-    held_out: Assessment
-    unfamiliar_share: float  # confident share of made-up scans held out of training; NaN with ood_weight = 0
-    outside_share: float  # confident share of the given scans of no context; NaN without any
-    best_step: int
-    rounds: tuple[Round, ...]
-    seconds: float  # wall clock
-
-    def figures(self) -> dict[str, float]:
-        """The numbers that a policy keeps about its classifier: finite ones, and no times."""
-        named = {
-            "held_out_scans": float(self.held_out.scans),
-            "held_out_accuracy": self.held_out.accuracy,
-            "held_out_confidence": self.held_out.confidence,
-            "held_out_confident_share": self.held_out.confident_share,
-            "ece_confidence": self.held_out.by_confidence.ece,
-            "ece_probability": self.held_out.by_probability.ece,
-            "unfamiliar_share": self.unfamiliar_share,
-            "outside_share": self.outside_share,
-        }
-        return {name: value for name, value in named.items() if math.isfinite(value)}
+# As published, as far as it is known.
+PLAIN = TrainingOptions(hidden=0, learning_rate=3e-4, ood_weight=0.0, augmentation=Augmentation(translation=0.10))
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,40 +163,44 @@ def train(
         raise ValueError("background scans need ood_weight > 0")
     rng = np.random.default_rng(options.seed)
     taught, held = split(dataset, options.validation_share, rng)
-    strange = np.empty((0, BEAMS))
-    if options.ood_weight > 0.0:
-        strange = made_up_scans(taught.scans, taught.indices(contexts), taught.blocks, options.ood_scans, rng)
-        if background is not None and len(real := background[np.isfinite(background).any(axis=1)]):
-            # As often as the made-up ones: real places count as much as all invented ones together.
-            strange = rng.permutation(np.concatenate([strange, real[rng.integers(0, len(real), len(strange))]]))
-        else:
-            strange = rng.permutation(strange)
+    ood_scans = options.ood_scans if options.ood_weight > 0.0 else 0
+    strange = unfamiliar_scans(taught, ood_scans, background, rng)
     aside = round(OOD_HELD_OUT * len(strange))
     with _one_thread():
         descent = _Descent(taught, held, strange[aside:], strange[:aside], contexts, options, rng)
-        rounds = tuple(descent.run(progress))
-    classifier = EvidentialClassifier.from_weights(contexts, descent.best)
-    nothing = np.empty((0, BEAMS))
+        rounds = tuple(descent.run(options.steps, progress))
+        examined = deployed = EvidentialClassifier.from_weights(contexts, descent.best)
+        best_step = min(rounds, key=lambda each: each.validation).steps
+        if options.refit:
+            everywhere = unfamiliar_scans(dataset, ood_scans, background, rng)
+            descent = _Descent(dataset, None, everywhere, strange[:0], contexts, options, rng)
+            rounds += tuple(descent.run(best_step, progress))
+            deployed = EvidentialClassifier.from_weights(contexts, descent.best)
+    beyond = judge_all(deployed, np.empty((0, BEAMS)) if outside is None else outside)
     report = TrainingReport(
         contexts=contexts,
         training_scans=len(taught.labels),
-        held_out=assess(classifier, held.scans, held.labels, options.threshold),
-        unfamiliar_share=judge_all(classifier, strange[:aside]).confident_share(options.threshold),
-        outside_share=judge_all(classifier, nothing if outside is None else outside).confident_share(options.threshold),
-        best_step=min(rounds, key=lambda each: each.validation).steps,
+        held_out=assess(examined, held.scans, held.labels, options.threshold),
+        unfamiliar_share=judge_all(deployed, strange[:aside]).confident_share(options.threshold),
+        outside_share=beyond.confident_share(options.threshold),
+        outside_confidence=beyond.mean_confidence,
+        best_step=best_step,
         rounds=rounds,
         seconds=time.perf_counter() - began,
     )
-    return Trained(classifier, report)
+    return Trained(deployed, report)
 
 
 class _Descent:
-    """Adam with early stopping; `best` holds the weights with the lowest validation loss so far."""
+    """Adam with early stopping; `best` holds the weights with the lowest validation loss so far.
+
+    Without held-out scans there is no early stopping, and `best` holds the last weights.
+    """
 
     def __init__(
         self,
         taught: ScanDataset,
-        held: ScanDataset,
+        held: ScanDataset | None,
         strange: Array,
         strange_held: Array,
         contexts: tuple[str, ...],
@@ -242,25 +211,25 @@ class _Descent:
         self._scans, self._truth = taught.scans, taught.indices(contexts)
         self._one_hot = torch.eye(len(contexts))
         self._strange, self._strange_held = _inputs(strange), _inputs(strange_held)
-        # Every context counts the same in the validation loss too.
-        truth = held.indices(contexts)
-        order = balanced(truth, len(truth), rng)
-        self._held, self._held_truth = _inputs(held.scans[order]), truth[order]
+        self._held: tuple[Tensor, Integers] | None = None
+        if held is not None:  # every context counts the same in the validation loss too
+            order = balanced(held.indices(contexts), len(held.labels), rng)
+            self._held = _inputs(held.scans[order]), held.indices(contexts)[order]
         self._network = Network(len(contexts), options.hidden, rng)
         self._adam = torch.optim.Adam(list(self._network.weights.values()), lr=options.learning_rate, fused=True)
         self.best: dict[str, Floats] = self._network.copy()
 
-    def run(self, progress: Callable[[Round], None] | None) -> Iterator[Round]:
-        """Train; one Round per 100 steps."""
+    def run(self, steps: int, progress: Callable[[Round], None] | None) -> Iterator[Round]:
+        """Train for `steps` steps at most; one Round per 100 of them."""
         lowest, at = math.inf, 0
-        for start in range(0, self._options.steps, ROUND):
-            count = min(ROUND, self._options.steps - start)
+        for start in range(0, steps, ROUND):
+            count = min(ROUND, steps - start)
             training, validation = self._steps(start, count), self._validation()
             result = Round(start + count, training, validation)
             if progress is not None:
                 progress(result)
             yield result
-            if validation < lowest:
+            if self._held is None or validation < lowest:
                 lowest, at, self.best = validation, result.steps, self._network.copy()
             elif result.steps - at >= self._options.patience:
                 return
@@ -283,8 +252,10 @@ class _Descent:
         return total / count
 
     def _validation(self) -> float:
+        if self._held is None:
+            return math.nan
         with torch.no_grad():
-            return self._loss(self._held, self._held_truth, self._strange_held, self._options.kl_weight).item()
+            return self._loss(*self._held, self._strange_held, self._options.kl_weight).item()
 
     def _loss(self, inputs: Tensor, truth: Integers, strange: Tensor, kl_weight: float) -> Tensor:
         alpha = self._network.alpha(torch.cat([inputs, strange]))

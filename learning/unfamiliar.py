@@ -19,13 +19,26 @@ from numpy.typing import NDArray
 
 from learning.augment import BEARINGS
 from learning.classifier import BEAMS, Floats, preprocess
-from learning.labelled_scans import Integers
+from learning.labelled_scans import Integers, ScanDataset
 from twin.compiled import compiled
 from twin.records import Array
 
 MAX_SCAN_RANGE = 30.0  # [m] of the lidar; beyond is no return
 FREE_RADIUS = 0.25  # [m] kept clear round the sensor: the robot stands there
 FAMILIAR_QUANTILE = 0.5  # of the distances between training scans of different blocks: inside is familiar
+
+
+def unfamiliar_scans(dataset: ScanDataset, count: int, background: Array | None, rng: np.random.Generator) -> Array:
+    """Scans (m, 720) for the uniform target, in random order: about `count` made-up ones, as many of the background.
+
+    background: (k, 720) scans of real places where nobody intervened; together they count as much as all made-up ones.
+    """
+    if count <= 0:
+        return np.empty((0, BEAMS))
+    strange = made_up_scans(dataset.scans, dataset.indices(dataset.contexts), dataset.blocks, count, rng)
+    if background is not None and len(real := background[np.isfinite(background).any(axis=1)]):
+        strange = np.concatenate([strange, real[rng.integers(0, len(real), len(strange))]])
+    return rng.permutation(strange)
 
 
 def made_up_scans(scans: Array, labels: Integers, blocks: Integers, count: int, rng: np.random.Generator) -> Array:

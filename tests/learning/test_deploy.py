@@ -200,7 +200,7 @@ def test_a_few_bad_beams_are_no_fault() -> None:
 
 
 def test_scans_of_another_size_are_an_error_not_a_fault() -> None:
-    with pytest.raises(ValueError, match="720 beams; this scan has 360$"):
+    with pytest.raises(ValueError, match=r"720 beams; this scan has 360$"):
         drive(POLICY, [np.ones(360)])
 
 

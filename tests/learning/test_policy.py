@@ -230,6 +230,16 @@ def test_hostile_weights(tmp_path: Path) -> None:
         refuse(path, safetensors.numpy.save(weights, text), words)
 
 
+def accepted_or_refused(data: bytes) -> None:
+    """Either a whole policy comes out, or one line; nothing else is ever raised."""
+    error: PolicyError | None = None
+    try:
+        policy_bytes(parse_policy(data))
+    except PolicyError as caught:
+        error = caught
+    assert error is None or "\n" not in str(error)
+
+
 LEAVES = st.one_of(st.none(), st.booleans(), st.integers(), st.floats(allow_nan=False), st.text(max_size=5))
 ANYTHING = st.recursive(LEAVES, lambda x: st.lists(x, max_size=2) | st.dictionaries(st.text(max_size=4), x, max_size=2))
 
@@ -246,12 +256,7 @@ def test_any_change_of_the_metadata_loads_or_is_refused(data: st.DataObject) -> 
             continue
         place[key] = data.draw(ANYTHING)
         break
-    try:
-        policy = parse_policy(with_metadata(json.dumps(values)))
-    except PolicyError as error:
-        assert "\n" not in str(error)
-    else:
-        assert policy.labels == CLASSIFIER.labels
+    accepted_or_refused(with_metadata(json.dumps(values)))
 
 
 @settings(deadline=None, max_examples=100)
@@ -259,10 +264,7 @@ def test_any_change_of_the_metadata_loads_or_is_refused(data: st.DataObject) -> 
 def test_any_changed_byte_of_the_header_loads_or_is_refused(position: int, value: int) -> None:
     data = bytearray(policy_bytes(POLICY))
     data[position] = value
-    try:
-        parse_policy(bytes(data))
-    except PolicyError as error:
-        assert "\n" not in str(error)
+    accepted_or_refused(bytes(data))
 
 
 def test_parts_that_do_not_fit_together() -> None:
