@@ -6,6 +6,7 @@ import contextlib
 import functools
 import io
 import re
+import signal
 import sys
 from collections.abc import Callable
 from importlib.metadata import version
@@ -164,6 +165,8 @@ def bench(json: bool = False, repeats: int = 2) -> int:
         json: Print one JSON object on stdout and nothing else.
         repeats: How often every drive is timed.
     """
+    if repeats < 1:
+        raise UserError(f"--repeats must be 1 or more, not {repeats}")
     from scenarios.bench import bench_command
 
     return bench_command(json, repeats)
@@ -184,14 +187,21 @@ COMMANDS: dict[str, Callable[..., int]] = {
 def main(arguments: list[str] | None = None) -> None:
     """Entry point: parse, run, exit."""
     arguments = sys.argv[1:] if arguments is None else arguments
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that recordings are closed, as with Ctrl-C
     try:
-        sys.exit(_dispatch(arguments))
+        code = _dispatch(arguments)
+        sys.stdout.flush()
+        sys.exit(code)
     except UserError as error:
         print(f"appli: {error}", file=sys.stderr)
         sys.exit(2)
     except BrokenPipeError:  # the reader of our stdout went away (appli ... | head)
         sys.stderr.close()
         sys.exit(1)
+    except OSError as error:  # a full disk under stdout
+        print(f"appli: {error.strerror or error}", file=sys.stderr)
+        sys.stdout = None  # type: ignore[assignment]  # nothing more can be written there
+        sys.exit(2)
     except KeyboardInterrupt:
         print("appli: interrupted", file=sys.stderr)
         sys.exit(130)

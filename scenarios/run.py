@@ -6,17 +6,16 @@ import json as json_module
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
-from threading import Timer
 from typing import Any
 
 import yaml
 
 from scenarios.errors import UserError, blame
 from scenarios.switches import Switches
-from scenarios.trials import TrialResult, TrialSpec, result_as_dict, run_trial
+from scenarios.trials import TrialResult, TrialSpec, make_driver, result_as_dict, run_trial
 from scenarios.worlds import list_worlds, load_world
 from twin.planner.params import PlannerParams
 from twin.records import Outcome, Tick
@@ -40,10 +39,12 @@ def run_command(
     """Run one trial and report it; see `appli run --help`."""
     if seed < 0:
         raise UserError(f"--seed must be 0 or more, not {seed}")
+    check_recording_path(record)
     with blame():
         theta = PlannerParams() if params is None else read_params(params)
         world = load_world(world_name, protocol, start=start, goal=goal)
-    spec = TrialSpec(world_name, protocol, driver, seed, 0, theta, switches)
+        spec = TrialSpec(world_name, protocol, driver, seed, 0, theta, switches)
+        make_driver(spec)  # a wrong name or file is told before anything is compiled
     compile_kernels()
     began = time.perf_counter()
     result = _run_watched(spec, world, record, quiet=json or not sys.stderr.isatty())
@@ -116,33 +117,40 @@ def read_params(path: Path) -> PlannerParams:
         raise ValueError(f"{path}: too large for a parameter file")
     try:
         values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path}: not a text file; expected lines such as 'max_vel_x: 0.8'") from error
     except yaml.YAMLError as error:
         raise ValueError(f"{path}: not YAML: {' '.join(str(error).split())}") from error
     if not isinstance(values, dict):
         raise ValueError(f"{path}: expected lines such as 'max_vel_x: 0.8'")
     try:
-        return PlannerParams.from_mapping({str(k): v for k, v in values.items()})
+        return PlannerParams.from_mapping({str(k): _number(v) for k, v in values.items()})
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 
 
-def compile_kernels() -> None:
-    """Make sure the numba kernels are compiled; says so if that takes more than a moment (once per machine)."""
-    from scenarios.warm_up import warm_up
-
-    with _notice(2.0, "appli: compiling the planner for this machine (once, about a minute) ..."):
-        warm_up()
-
-
-@contextmanager
-def _notice(delay: float, text: str) -> Iterator[None]:
-    timer = Timer(delay, lambda: print(text, file=sys.stderr, flush=True))
-    timer.daemon = True
-    timer.start()
+def _number(value: object) -> object:
+    """YAML 1.1 takes 5e-1 for a text; a person means a number."""
     try:
-        yield
-    finally:
-        timer.cancel()
+        return float(value) if isinstance(value, str) else value
+    except ValueError:
+        return value
+
+
+def compile_kernels() -> None:
+    """Load the numba kernels; says so when they have to be compiled (once per machine and version)."""
+    from scenarios.warm_up import warm_up
+    from twin.compiled import FIRST_TIME
+
+    if FIRST_TIME:
+        print("appli: compiling the planner for this machine (once, about a minute) ...", file=sys.stderr, flush=True)
+    warm_up()
+
+
+def check_recording_path(record: Path | None) -> None:
+    """A recording ends in .rrd: so a slip of the hand never overwrites a course or a parameter file."""
+    if record is not None and record.suffix != ".rrd":
+        raise UserError(f"--record takes a file that ends in .rrd, not {record}")
 
 
 def worlds_command(json: bool) -> int:

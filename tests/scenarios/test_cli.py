@@ -115,7 +115,13 @@ def test_an_unknown_world_names_the_closest() -> None:
         (["run", "open", "--params", "missing.yaml"], "missing.yaml"),
         (["run", "open", "--record", "/nowhere/at/all.rrd"], "/nowhere"),
         (["run", "barn-like/300"], "299"),
+        (["run", "open", "--record", "course.toml"], ".rrd"),
+        (["run", "open", "--driver", "theta:Z9"], "theta:B1"),
+        (["run", "open", "--driver", "missing.safetensors"], "missing.safetensors"),
+        (["bench", "--repeats", "0"], "--repeats"),
         (["collect", "open"], "--out"),
+        (["train", "/nowhere", "--out", "p.safetensors"], "/nowhere"),
+        (["train", "/nowhere", "--out", "p.safetensors", "--types", "A,X"], "--types"),
     ],
 )
 def test_mistakes_get_one_line(arguments: list[str], word: str) -> None:
@@ -138,6 +144,23 @@ def test_mistakes_get_one_line(arguments: list[str], word: str) -> None:
 def test_bad_parameters_get_one_line(tmp_path: Path, text: str, word: str) -> None:
     (tmp_path / "p.yaml").write_text(text)
     assert word in complaint("run", "open", "--params", str(tmp_path / "p.yaml"))
+
+
+def test_a_full_stdout_gets_one_line() -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "scenarios", "worlds", "--json"], stdout=full, stderr=subprocess.PIPE, text=True
+        )
+    assert done.returncode == 2
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_without_a_writable_home_it_still_runs(tmp_path: Path) -> None:
+    environment = {k: v for k, v in os.environ.items() if k not in {"XDG_CACHE_HOME", "NUMBA_CACHE_DIR"}}
+    environment |= {"HOME": "/proc", "TMPDIR": str(tmp_path)}
+    code = "from twin.compiled import *; print(CAN_CACHE, FIRST_TIME, numba.config.CACHE_DIR)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
+    assert done.stdout.startswith(f"True True {tmp_path}")
 
 
 def test_parameters_reach_the_planner(tmp_path: Path) -> None:
