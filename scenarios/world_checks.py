@@ -14,7 +14,7 @@ from twin.world import Mesh, Obstacle, World
 
 MAX_OBSTACLES = 20_000  # MuJoCo's broad phase and the lidar both go through all of them
 MAX_COORDINATE = 1_000.0  # [m] beyond this, metres were probably not meant
-HALF_LENGTH = 0.210  # [m] chassis 0.420 m long (jackal.urdf.xacro)
+HALF_LENGTH = 0.131 + 0.098  # [m] wheel centre plus wheel radius, as in twin/clearance.py (which would load numba)
 HALF_WIDTH = 0.187795 + 0.020  # [m] wheel centre plus half a wheel (jackal.urdf.xacro)
 ROOM_TO_MOVE = 1.0  # [m2] a start with less ground than this within reach is inside something
 START_GAP = 0.01  # [m] the outline is tested by points this close to each other
