@@ -254,7 +254,7 @@ def test_start_inside_an_obstacle(tmp_path: Path) -> None:
         message = error_of(tmp_path, MINIMAL + f"[[boxes]]\nat = {at}\nsize = [0.3, 0.2, 0.2]")
         assert "start inside an obstacle" in message
         assert "--start" in message
-    assert course(tmp_path, MINIMAL + "[[boxes]]\nat = [0.38, 0.0]\nsize = [0.3, 0.2, 0.2]")
+    assert course(tmp_path, MINIMAL + "[[boxes]]\nat = [0.41, 0.0]\nsize = [0.3, 0.2, 0.2]")
     # above the robot there may be something
     assert course(tmp_path, MINIMAL + "[[boxes]]\nat = [0, 0]\nsize = [1, 1, 0.1]\nbottom = 0.6")
 
