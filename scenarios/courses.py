@@ -86,10 +86,13 @@ def _text(value: Any) -> str:
     return value
 
 
+STYLES = ("wall", "cardboard", "furniture", "box", "cylinder")  # looks only
+
+
 def _style(value: Any) -> str:
-    if not isinstance(value, str) or not re.fullmatch(r"[A-Za-z][\w-]{0,30}", value):
-        raise ValueError('must be a word such as "wall", "cardboard" or "furniture"')
-    return value
+    if value not in STYLES:
+        raise ValueError(f"must be one of {', '.join(STYLES)}")
+    return str(value)
 
 
 def _list_of(value: Any, lengths: Sequence[int], form: str) -> list[float]:
