@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from learning.classifier import BEAMS, CROP, MAX_RANGE, Floats, fill_gaps
 from learning.labelled_scans import Integers
@@ -38,8 +40,8 @@ class Augmentation:
         return min(int(self.shift / FIELD_OF_VIEW * BEAMS), (BEAMS - CROP) // 2)
 
 
-def mirror(ranges: Array) -> Array:
-    """The scan of the mirrored place: left and right exchanged."""
+def mirror(ranges: NDArray[Any]) -> NDArray[Any]:
+    """The scans (..., n) of the mirrored place: left and right exchanged."""
     return ranges[..., ::-1]
 
 

@@ -45,9 +45,10 @@ class TrainingOptions:
     learning_rate: float = 1e-3  # Adam; the authors' 3e-4 needs three times the steps
     batch: int = 32  # labelled scans, and as many unfamiliar ones (authors)
     steps: int = 4000  # at most, whatever the number of scans (authors: 500 epochs)
+    least_steps: int = 2000  # before that, a few held-out scans say little about when to stop
     annealing_steps: int = 1000  # until the KL term has its full weight
-    kl_weight: float = 1.0  # lambda after annealing
-    ood_weight: float = 0.3  # of the uniform target at unfamiliar scans; 0 = the paper's plain EDL
+    kl_weight: float = 0.1  # lambda after annealing; 1 holds back the evidence for the right context too
+    ood_weight: float = 0.1  # of the uniform target at unfamiliar scans; 0 = the paper's plain EDL
     ood_scans: int = 3000  # made up once per training
     validation_share: float = 0.2  # of each context's time blocks (authors: of the steps)
     patience: int = 1500  # steps without a better validation loss after which training ends
@@ -58,7 +59,9 @@ class TrainingOptions:
 
 
 # As published, as far as it is known.
-PLAIN = TrainingOptions(hidden=0, learning_rate=3e-4, ood_weight=0.0, augmentation=Augmentation(translation=0.10))
+PLAIN = TrainingOptions(
+    hidden=0, learning_rate=3e-4, kl_weight=1.0, ood_weight=0.0, augmentation=Augmentation(translation=0.10)
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +173,7 @@ def train(
         descent = _Descent(taught, held, strange[aside:], strange[:aside], contexts, options, rng)
         rounds = tuple(descent.run(options.steps, progress))
         examined = deployed = EvidentialClassifier.from_weights(contexts, descent.best)
-        best_step = min(rounds, key=lambda each: each.validation).steps
+        best_step = descent.best_step
         if options.refit:
             everywhere = unfamiliar_scans(dataset, ood_scans, background, rng)
             descent = _Descent(dataset, None, everywhere, strange[:0], contexts, options, rng)
@@ -218,10 +221,11 @@ class _Descent:
         self._network = Network(len(contexts), options.hidden, rng)
         self._adam = torch.optim.Adam(list(self._network.weights.values()), lr=options.learning_rate, fused=True)
         self.best: dict[str, Floats] = self._network.copy()
+        self.best_step = 0
 
     def run(self, steps: int, progress: Callable[[Round], None] | None) -> Iterator[Round]:
         """Train for `steps` steps at most; one Round per 100 of them."""
-        lowest, at = math.inf, 0
+        lowest = math.inf
         for start in range(0, steps, ROUND):
             count = min(ROUND, steps - start)
             training, validation = self._steps(start, count), self._validation()
@@ -229,9 +233,9 @@ class _Descent:
             if progress is not None:
                 progress(result)
             yield result
-            if self._held is None or validation < lowest:
-                lowest, at, self.best = validation, result.steps, self._network.copy()
-            elif result.steps - at >= self._options.patience:
+            if self._held is None or validation < lowest or result.steps <= min(steps, self._options.least_steps):
+                lowest, self.best_step, self.best = validation, result.steps, self._network.copy()
+            elif result.steps - self.best_step >= self._options.patience:
                 return
 
     def _steps(self, start: int, count: int) -> float:

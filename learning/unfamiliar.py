@@ -17,7 +17,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.augment import BEARINGS
+from learning.augment import BEARINGS, mirror
 from learning.classifier import BEAMS, Floats, preprocess
 from learning.labelled_scans import Integers, ScanDataset
 from twin.compiled import compiled
@@ -183,7 +183,7 @@ def familiar(candidates: Array, scans: Array, labels: Integers, blocks: Integers
     finite = nearest[np.isfinite(nearest)]
     radius = float(np.quantile(finite, FAMILIAR_QUANTILE)) if len(finite) else 0.0
     made = np.array([preprocess(scan) for scan in candidates])
-    closest = np.minimum(_distances(made, known).min(axis=1), _distances(made[:, ::-1], known).min(axis=1))
+    closest = np.minimum(_distances(made, known).min(axis=1), _distances(mirror(made), known).min(axis=1))
     return np.asarray(closest <= radius, dtype=np.bool_)
 
 
