@@ -26,6 +26,7 @@ from twin.records import Array
 MAX_SCAN_RANGE = 30.0  # [m] of the lidar; beyond is no return
 FREE_RADIUS = 0.25  # [m] kept clear round the sensor: the robot stands there
 FAMILIAR_QUANTILE = 0.5  # of the distances between training scans of different blocks: inside is familiar
+MOST_COMPARED = 1500  # training scans from which that quantile is taken; bounds the memory
 
 
 def unfamiliar_scans(dataset: ScanDataset, count: int, background: Array | None, rng: np.random.Generator) -> Array:
@@ -177,8 +178,9 @@ def familiar(candidates: Array, scans: Array, labels: Integers, blocks: Integers
     scans, of the distance to the nearest scan of the same context in another block.
     """
     known = np.array([preprocess(scan) for scan in scans])
-    apart = _distances(known, known)
-    apart[(labels[:, None] != labels[None, :]) | (blocks[:, None] == blocks[None, :])] = np.inf
+    some = slice(None, None, -(-len(known) // MOST_COMPARED))
+    apart = _distances(known[some], known)
+    apart[(labels[some, None] != labels[None, :]) | (blocks[some, None] == blocks[None, :])] = np.inf
     nearest = apart.min(axis=1)
     finite = nearest[np.isfinite(nearest)]
     radius = float(np.quantile(finite, FAMILIAR_QUANTILE)) if len(finite) else 0.0
