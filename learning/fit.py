@@ -26,7 +26,7 @@ from twin.planner.plan import DEFAULT_SETTINGS, DEFAULT_THETA, PlannerSettings
 from twin.records import Array, frozen_array
 
 Progress = Callable[[int, float], None]  # evaluations so far, best loss of the search in progress
-Start = Literal["middle", "default", "screened"]
+Start = Literal["middle", "default", "random"]
 
 MARGIN = 0.02  # [cube sides] how far the search may leave the cube; out there is the bound, which is so hit exactly
 SMALLEST_STEP = 1e-5  # [cube sides] a search whose steps are smaller is over
@@ -42,10 +42,9 @@ class FitSettings:
     lambda_v: float = 1.0  # [s^2/m^2] weight of the linear error (v and omega weighted equally)
     lambda_w: float = 1.0  # [s^2/rad^2] weight of the angular error
     population: int = 12  # (12)
-    screened: int = 100  # random points that are looked at first (none)
-    start: Start = "middle"  # of the first search: the cube's middle (same), the default, or the best screened
+    start: Start = "middle"  # of the first search (the middle)
     sigma: float = 0.2  # [cube sides] first step size (2 of 10)
-    restarts: int = 1  # further searches, from the best of the screened points (none)
+    restarts: int = 1  # further searches from random points (none)
     last_sigma: float = 0.05  # [cube sides] first step size of the last search, from the best so far (there is none)
     max_steps: int = 120  # search on so many steps, evenly spread; neighbours are much alike (all)
     max_evaluations: int = 3000  # of the sum, by all searches together (12 x 800)
@@ -62,7 +61,7 @@ class FitSettings:
                 raise ValueError(f"{name} must be a finite number >= 0, not {getattr(self, name)!r}")
         if self.lambda_v == self.lambda_w == 0.0:
             raise ValueError("lambda_v and lambda_w must not both be 0")
-        least = {"population": 4, "screened": 0, "restarts": 0, "max_steps": 1, "max_evaluations": 1, "patience": 1}
+        least = {"population": 4, "restarts": 0, "max_steps": 1, "max_evaluations": 1, "patience": 1}
         for name, low in least.items():
             if getattr(self, name) < low:
                 raise ValueError(f"{name} must be at least {low}, not {getattr(self, name)}")
@@ -83,7 +82,7 @@ class FitResult:
     demonstrated: Array  # (n, 2) v [m/s], w [rad/s] of the intervener, labelled steps
     default_actions: Array  # (n, 2) of G with the default parameters
     actions: Array  # (n, 2) of G with theta
-    curve: Array  # (k, 3) evaluations, search (0 = screening), its best loss so far (scaled up to all steps)
+    curve: Array  # (k, 3) evaluations, number of the search, its best loss so far (scaled up to all steps)
     flatness: dict[str, tuple[float, float]]  # name -> range of values that cost almost nothing, all others held
     evaluations: int
     seconds: float  # of wall time
@@ -182,7 +181,6 @@ class _Fitting:
         self.found: list[PlannerParams] = []  # the best of each search so far
         self.evaluations = 0
         self.curve: list[tuple[int, int, float]] = []
-        self._best = math.inf  # of the search in progress
 
     def loss(self, theta: PlannerParams) -> float:
         """Eq. 1's sum for one theta, scaled up to all steps when only a sample is looked at."""
@@ -193,55 +191,40 @@ class _Fitting:
         return min([DEFAULT_THETA, *self.found], key=self.loss)
 
     def run(self) -> None:
-        """The screening, then all searches."""
+        """All searches."""
         settings = self.settings
         rng = np.random.default_rng(settings.seed)
-        starts = self._screen(rng)[: settings.restarts + 1]
-        if settings.start != "screened":
-            middle = np.full(len(PARAMETER_NAMES), 0.5)
-            starts.insert(0, middle if settings.start == "middle" else settings.space.encode(DEFAULT_THETA))
-        for start in starts[: settings.restarts + 1]:
+        for k in range(1 + settings.restarts):
+            start = rng.uniform(0.1, 0.9, len(PARAMETER_NAMES))
+            if k == 0 and settings.start != "random":
+                middle = np.full(len(start), 0.5)
+                start = middle if settings.start == "middle" else settings.space.encode(DEFAULT_THETA)
             self._search(start, settings.sigma, rng)
         self._search(settings.space.encode(self.best_theta()), settings.last_sigma, rng)
-
-    def _begin(self) -> None:
-        """A new search, which has found nothing better than the default yet."""
-        self.found.append(DEFAULT_THETA)
-        self._best = self.loss(DEFAULT_THETA)
-
-    def _try(self, point: Array) -> float:
-        """The loss of a candidate, which may be the best of the search so far."""
-        theta = self.settings.space.decode(point)
-        loss = self.loss(theta)
-        self.evaluations += 1
-        if loss < self._best:
-            self._best = loss
-            self.found[-1] = theta
-            self.curve.append((self.evaluations, len(self.found) - 1, loss))
-        if self.progress is not None:
-            self.progress(self.evaluations, self._best)
-        return loss
-
-    def _screen(self, rng: np.random.Generator) -> list[Array]:
-        """Random points (8,) of the unit cube, best first. Each parameter is spread evenly (a Latin hypercube)."""
-        count = min(self.settings.screened, self.settings.max_evaluations)
-        ranks = np.array([rng.permutation(count) for _ in PARAMETER_NAMES]).T
-        points = (ranks + rng.uniform(size=ranks.shape)) / max(1, count)
-        self._begin()
-        losses = [self._try(point) for point in points]
-        return [points[k] for k in np.argsort(losses, kind="stable")]
 
     def _search(self, start: Array, sigma: float, rng: np.random.Generator) -> None:
         """One CMA-ES search from a point (8,) of the unit cube, until it stops making progress."""
         settings = self.settings
         strategy = cma.CMAEvolutionStrategy(start.tolist(), sigma, _options(settings.population, rng))
-        self._begin()
-        enough, stale = settings.min_progress * self._best, 0
+        number = len(self.found)
+        self.found.append(DEFAULT_THETA)
+        best = self.loss(DEFAULT_THETA)
+        enough = settings.min_progress * best
+        stale = 0
         while stale < settings.patience and self.evaluations < settings.max_evaluations and not _is_over(strategy):
-            before = self._best
             points = strategy.ask()
-            strategy.tell(points, [self._try(np.asarray(point)) for point in points])
-            stale = 0 if self._best < before - enough else stale + 1
+            before, losses = best, []
+            for theta in (settings.space.decode(np.asarray(p)) for p in points):
+                losses.append(self.loss(theta))
+                self.evaluations += 1
+                if losses[-1] < best:
+                    best = losses[-1]
+                    self.found[number] = theta
+                    self.curve.append((self.evaluations, number, best))
+                if self.progress is not None:
+                    self.progress(self.evaluations, best)
+            strategy.tell(points, losses)
+            stale = 0 if best < before - enough else stale + 1
 
     def flatness(self) -> dict[str, tuple[float, float]]:
         """For each parameter the values round the best that cost almost nothing while the other seven stay."""

@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from learning.fit import FitResult, FitSettings, Start, fit
+from learning.fit import FitResult, FitSettings, fit
 from learning.imitation import Imitation, LabelledSteps, surroundings
 from learning.interventions import Intervention, Step
 from learning.published import published_parameters
@@ -25,7 +25,7 @@ from twin.simulation import Simulation
 from twin.world import Box, Cylinder, World
 
 DEFAULT = PlannerParams()
-QUICK = FitSettings(max_evaluations=42, screened=6, restarts=0, max_steps=8)
+QUICK = FitSettings(max_evaluations=36, restarts=0, max_steps=8)
 
 
 def action(x: Observation, theta: PlannerParams, settings: PlannerSettings) -> tuple[float, float]:
@@ -184,18 +184,10 @@ def test_the_curve_and_the_progress_only_fall_within_a_search() -> None:
         demonstrated(seen(8), published_parameters()["A2"]), replace(QUICK, restarts=1), lambda *a: told.append(a)
     )
     assert [n for n, _ in told] == list(range(1, result.evaluations + 1))
-    assert result.evaluations >= 42
-    assert set(result.curve[:, 1]) <= {0, 1, 2, 3}  # screening, the middle, a restart, the last
+    assert result.evaluations >= 36
     for number in np.unique(result.curve[:, 1]):
         losses = result.curve[result.curve[:, 1] == number, 2]
         assert np.all(np.diff(losses) < 0)
-
-
-@pytest.mark.parametrize("start", ["middle", "default", "screened"])
-def test_every_start_works_without_screening_and_with_the_smallest_budget(start: Start) -> None:
-    few = replace(QUICK, start=start, screened=0, max_evaluations=1)
-    result = fit(demonstrated(seen(4), published_parameters()["A2"]), few)
-    assert result.loss <= result.default_loss
 
 
 @pytest.mark.parametrize("after", [1, 20])
