@@ -29,7 +29,7 @@ ALLOWED: dict[str, tuple[str, ...]] = {
         "twin.clearance",
         "twin.records",
         "twin.geometry",
-        "twin.planner.obstacle_layer",  # an observation holds what the obstacle layers remember
+        "twin.planner.obstacle_memory",  # an observation holds what the obstacle layers remember
     ),
     "twin.rewind": ("twin.rollout", "twin.simulation", "twin.records"),
     "twin.rollout": ("twin.simulation", "twin.world", "twin.records", "twin.geometry"),

@@ -115,7 +115,7 @@ def test_the_clearing_recovery_forgets_what_is_far() -> None:
     world = make_world(Box(2.2, 0.0, 0.0, 0.2, 0.6, 0.5), Cylinder(0.8, 0.5, 0.1, 0.5))
     simulation = Simulation(world, np.random.default_rng(0))
     simulation.observe()
-    before = simulation.snapshot().local_map.cells
+    before = simulation.snapshot().obstacles.local_map.cells
     simulation.apply(STOP, clear_beyond=3.0)
-    after = simulation.snapshot().local_map.cells
+    after = simulation.snapshot().obstacles.local_map.cells
     assert np.count_nonzero(before == 254) > np.count_nonzero(after == 254) > 0

@@ -11,15 +11,8 @@ import numpy as np
 
 from twin.arena import compile_world
 from twin.clearance import ClearanceGauge
-from twin.planner.obstacle_layer import (
-    GLOBAL_MAP,
-    LOCAL_MAP,
-    clear_outside,
-    empty_map,
-    scan_points,
-    update_obstacles,
-)
-from twin.records import Array, Command, Contact, Observation, ObstacleMap, Pose2, Scan, frozen_array
+from twin.planner.obstacle_memory import ObstacleMemory, forget_beyond, no_obstacles, remember
+from twin.records import Array, Command, Contact, Observation, Pose2, Scan, frozen_array
 from twin.robot import drive, odometry
 from twin.robot.drive import DriveConfig, DriveState
 from twin.robot.handles import RobotHandles
@@ -50,8 +43,7 @@ class Snapshot:
     steps: int
     drive: DriveState
     odometry: OdometryState
-    local_map: ObstacleMap
-    global_map: ObstacleMap
+    obstacles: ObstacleMemory
     noise: Mapping[str, Any]  # state of the random generator
 
 
@@ -70,7 +62,7 @@ class Simulation:
         self._gauge = ClearanceGauge(world)
         self._drive = DriveState()
         self._odometry = odometry.begin(world.start)
-        self._local_map, self._global_map = empty_map(LOCAL_MAP), empty_map(GLOBAL_MAP)
+        self._obstacles = no_obstacles()
         self._steps = 0
         self._chunk = round(CONTACT_CHECK / config.timestep)
         self._period = round(config.drive.period / config.timestep)  # drive and odometry, in steps
@@ -113,10 +105,8 @@ class Simulation:
         """
         scan = self.scan()
         pose = self._odometry.pose
-        points, sensor = scan_points(scan, pose)
-        self._local_map = update_obstacles(self._local_map, LOCAL_MAP, points, sensor, pose)
-        self._global_map = update_obstacles(self._global_map, GLOBAL_MAP, points, sensor, pose)
-        return Observation(self.time, pose, self._odometry.twist, scan, self._local_map, self._global_map, self.goal)
+        self._obstacles = maps = remember(self._obstacles, scan, pose)
+        return Observation(self.time, pose, self._odometry.twist, scan, maps.local_map, maps.global_map, self.goal)
 
     def apply(self, command: Command | None, clear_beyond: float | None = None) -> Contact | None:
         """Advance one tick under a command; None publishes nothing, so that the last command runs into its time-out.
@@ -127,9 +117,7 @@ class Simulation:
         if command is not None:
             self._drive = drive.receive(self._drive, command)
         if clear_beyond is not None:
-            pose = self._odometry.pose
-            self._local_map = clear_outside(self._local_map, pose, clear_beyond)
-            self._global_map = clear_outside(self._global_map, pose, clear_beyond)
+            self._obstacles = forget_beyond(self._obstacles, self._odometry.pose, clear_beyond)
         contact: Contact | None = None
         end = self._steps + round(TICK / self.config.timestep)
         while self._steps < end:
@@ -157,14 +145,12 @@ class Simulation:
         physics = np.empty(mujoco.mj_stateSize(self._model, spec))
         mujoco.mj_getState(self._model, self._data, physics, spec)
         noise = self._rng.bit_generator.state
-        return Snapshot(
-            frozen_array(physics), self._steps, self._drive, self._odometry, self._local_map, self._global_map, noise
-        )
+        return Snapshot(frozen_array(physics), self._steps, self._drive, self._odometry, self._obstacles, noise)
 
     def restore(self, snapshot: Snapshot) -> None:
         """Go back to a snapshot of this simulation; what follows replays bit for bit."""
         mujoco.mj_setState(self._model, self._data, snapshot.physics, mujoco.mjtState.mjSTATE_INTEGRATION)
         self._steps, self._drive, self._odometry = snapshot.steps, snapshot.drive, snapshot.odometry
-        self._local_map, self._global_map = snapshot.local_map, snapshot.global_map
+        self._obstacles = snapshot.obstacles
         self._rng.bit_generator.state = snapshot.noise
         mujoco.mj_kinematics(self._model, self._data)
