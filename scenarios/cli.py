@@ -135,6 +135,20 @@ def train(
     return train_command(interventions, out, types, seed, confidence, all_methods)
 
 
+def export(policy: Positional[Path], /, out: Path, format: Literal["move_base", "nav2"] = "move_base") -> int:
+    """Write a policy as YAML parameters for a real robot, one set per context (docs/real_robot.md).
+
+    Args:
+        policy: File written by `appli train`.
+        out: New folder for the files.
+        format: move_base = ROS 1 (melodic, noetic), the planner that theta was learned for; nav2 = ROS 2's
+            DWB, a relative: values to start from.
+    """
+    from scenarios.export import export_command
+
+    return export_command(policy, format, out)
+
+
 def worlds(json: bool = False) -> int:
     """List the built-in worlds.
 
@@ -178,6 +192,7 @@ COMMANDS: dict[str, Callable[..., int]] = {
     "collect": collect,
     "teleop": teleop,
     "train": train,
+    "export": export,
     "worlds": worlds,
     "bench": bench,
     "demo": demo,
