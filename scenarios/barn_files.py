@@ -71,6 +71,11 @@ def read_archive(path: Path, fragment: str) -> tuple[Grid, PathEnds, int]:
     return _as_grid(path, arrays["grids"][row]), _ends_in_archive(path, arrays, row), index
 
 
+def archive_indices(path: Path) -> list[int]:
+    """The world indices in an archive laid out like barn_100.npz, in its order."""
+    return [int(index) for index in _load_npz(path)["world_index"]]
+
+
 def file_index(path: Path) -> int:
     """The number at the end of the name, as in world_150.world; 0 without one."""
     match = re.search(r"(\d{1,6})$", path.stem)

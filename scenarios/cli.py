@@ -149,6 +149,36 @@ def export(policy: Positional[Path], /, out: Path, format: Literal["move_base", 
     return export_command(policy, format, out)
 
 
+def sweep(
+    out: Path,
+    worlds: str,
+    methods: str,
+    runs: int,
+    policies: Path | None = None,
+    seed: int = 0,
+    protocol: Protocol = "appli",
+    workers: int | None = None,
+    scheduler: str | None = None,
+) -> int:
+    """Run worlds x methods x runs on all cores or on a cluster; the same command goes on where it was stopped.
+
+    Args:
+        out: The results, one SQLite file with a row per trial.
+        worlds: Names with commas between, as for `appli run`; also barn-like (all 300), barn-like/0-99, and FILE.npz
+            (all in it) or FILE.npz#0-99.
+        methods: Names with commas between: dwa, and the names of policies such as A+B+c.
+        runs: Trials per world and method.
+        policies: Folder with a policy NAME.safetensors per method (see appli train --all-methods).
+        seed: Root of all noise; all methods meet the same.
+        protocol: Start, goal, tolerance and time limit of BARN worlds.
+        workers: Local processes; by default one per core.
+        scheduler: Address of a dask scheduler, as in tcp://host:8786, instead of local processes.
+    """
+    from scenarios.sweep import sweep_command
+
+    return sweep_command(out, worlds, methods, policies, runs, seed, protocol, workers, scheduler)
+
+
 def worlds(json: bool = False) -> int:
     """List the built-in worlds.
 
@@ -192,6 +222,7 @@ COMMANDS: dict[str, Callable[..., int]] = {
     "collect": collect,
     "teleop": teleop,
     "train": train,
+    "sweep": sweep,
     "export": export,
     "worlds": worlds,
     "bench": bench,

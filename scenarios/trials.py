@@ -157,11 +157,16 @@ def make_simulation(spec: TrialSpec, world: World) -> Simulation:
 
 
 def run_trial(
-    spec: TrialSpec, world: World | None = None, watch: Callable[[Tick], Any] | None = None, explain: bool = False
+    spec: TrialSpec,
+    world: World | None = None,
+    watch: Callable[[Tick], Any] | None = None,
+    explain: bool = False,
+    driver: Driver | None = None,
 ) -> TrialResult:
-    """Run one trial to its end; `watch` sees every tick. `world` saves loading spec.world again."""
+    """Run one trial to its end; `watch` sees every tick. `world` and `driver` save making those of the spec again."""
     world = load_world(spec.world, spec.protocol) if world is None else world
-    simulation, driver, tally = make_simulation(spec, world), make_driver(spec, explain), Tally()
+    driver = make_driver(spec, explain) if driver is None else driver
+    simulation, tally = make_simulation(spec, world), Tally()
     for tick in rollout(simulation, driver):
         tally.add(tick)
         if watch is not None:
