@@ -95,6 +95,17 @@ def tortuosity(path: Cells) -> float:
     return float(np.hypot(steps[:, 0], steps[:, 1]).sum() / straight)
 
 
+def challenge_path_length(path: Cells) -> float:
+    """[m] that the challenge's score counts: start (-2, 3), the reference path, goal (-2, 13).
+
+    Cells become metres as in the challenge's own scripts, 0.15 m and 0.10 m off the cylinders.
+    """
+    cells = path.astype(np.float64)
+    points = np.stack([0.15 * cells[:, 0] - 4.575, 0.15 * cells[:, 1] + 5.075], axis=1)
+    steps = np.diff(np.concatenate([[(-2.0, 3.0)], points, [(-2.0, 13.0)]]), axis=0)
+    return float(np.hypot(steps[:, 0], steps[:, 1]).sum())
+
+
 def _look(blocked: Grid, cells: Cells, move: Sequence[int]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """(n,) free cells ahead along `move` until an obstacle or the border, and whether an obstacle ended the look."""
     free = np.zeros(len(cells), dtype=np.int64)
