@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from learning.policy import ROBOT, Policy, load_policy
 from scenarios.errors import blame
-from scenarios.export_files import Export, YamlFile, free_folder, named_contexts, write_folder
+from scenarios.export_files import Export, YamlFile, named_contexts, write_folder
 from scenarios.export_move_base import move_base_export
 from scenarios.export_nav2 import nav2_export
 
@@ -33,7 +33,6 @@ def export_command(path: Path, format: Format, out: Path) -> int:
     with blame():
         policy = load_policy(path)
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    free_folder(out)
     export = FORMATS[format](policy)
     manifest = YamlFile(
         MANIFEST,

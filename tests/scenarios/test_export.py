@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -306,6 +307,8 @@ def test_no_label_leaves_the_folder_or_hides_another(tmp_path: Path) -> None:
     out = tmp_path / "move_base"
     assert {label: theta_of(loaded(out, label)) for label in labels} == thetas
     assert sorted(p.name for p in tmp_path.iterdir()) == ["move_base", "nav2", "policy.safetensors"]
+    for path in [*(tmp_path / "move_base").iterdir(), *(tmp_path / "nav2").iterdir()]:
+        assert re.fullmatch(r"\w+(\.yaml)?", path.name, re.ASCII), path
 
 
 def test_equal_policies_give_equal_files(tmp_path: Path) -> None:
