@@ -12,6 +12,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -161,6 +162,10 @@ class Verdict:
     p: float  # NaN when a sample has fewer than two values
     larger: int  # 1: the first sample is larger, -1: the second, 0: neither
 
+    def swapped(self) -> Verdict:
+        """The same with the samples exchanged."""
+        return Verdict(self.p, -self.larger)
+
     def worse(self, alpha: float = ALPHA) -> bool:
         """Whether the first sample is significantly larger: the first method is slower."""
         return self.larger > 0 and self.p < alpha
@@ -245,16 +250,20 @@ def bootstrap_interval(flags: Flags, rng: np.random.Generator, level: float = 0.
     return float(low), float(high)
 
 
-def entry(times: Times, row: str, column: str, seed: int = 0) -> Entry:
-    """Compare two methods world by world."""
+def verdicts(times: Times, row: str, column: str) -> list[tuple[Verdict, Verdict]]:
+    """(Welch, rank test) in every world that both methods have."""
     pairs = [(times[world, row], times[world, column]) for world in common_worlds(times, row, column)]
-    verdicts = [welch(a, b) for a, b in pairs]
-    worse = np.array([v.worse() for v in verdicts], dtype=bool)
-    corrected = holm(np.array([v.p for v in verdicts]))
-    worse_holm = np.array([v.larger > 0 and p < ALPHA for v, p in zip(verdicts, corrected, strict=True)], dtype=bool)
-    worse_rank = np.array([rank_test(a, b).worse() for a, b in pairs], dtype=bool)
+    return [(welch(a, b), rank_test(a, b)) for a, b in pairs]
+
+
+def entry(found: Sequence[tuple[Verdict, Verdict]], seed: int = 0) -> Entry:
+    """Sum up the verdicts of all worlds; `seed` is that of the bootstrap."""
+    worse = np.array([w.worse() for w, _ in found], dtype=bool)
+    corrected = holm(np.array([w.p for w, _ in found]))
+    worse_holm = np.array([w.larger > 0 and p < ALPHA for (w, _), p in zip(found, corrected, strict=True)], dtype=bool)
+    worse_rank = np.array([r.worse() for _, r in found], dtype=bool)
     return Entry(
-        worlds=len(pairs),
+        worlds=len(found),
         worse=percentage(worse),
         interval=bootstrap_interval(worse, np.random.default_rng(seed)),
         worse_holm=percentage(worse_holm),
@@ -264,4 +273,9 @@ def entry(times: Times, row: str, column: str, seed: int = 0) -> Entry:
 
 def table(times: Times, methods: Sequence[str]) -> dict[tuple[str, str], Entry]:
     """(row, column) -> entry, for all pairs of different methods."""
-    return {(row, column): entry(times, row, column) for row in methods for column in methods if row != column}
+    entries = {}
+    for row, column in combinations(methods, 2):
+        found = verdicts(times, row, column)
+        entries[row, column] = entry(found)
+        entries[column, row] = entry([(w.swapped(), r.swapped()) for w, r in found])
+    return entries

@@ -112,8 +112,8 @@ def test_the_rank_test_is_scipys() -> None:
 def test_swapping_the_samples_swaps_the_verdict(test: object, a: np.ndarray, b: np.ndarray) -> None:
     assert callable(test)
     one, other = test(a, b), test(b, a)
-    assert one.p == pytest.approx(other.p)
-    assert one.larger == -other.larger
+    assert one.swapped().p == pytest.approx(other.p)
+    assert one.swapped().larger == other.larger
     assert not (one.worse() and other.worse())
 
 
@@ -137,7 +137,7 @@ def test_constant_samples() -> None:
 
 def test_one_constant_sample_is_an_ordinary_test() -> None:
     slow, mixed = np.full(12, 50.0), RNG.normal(20.0, 1.0, 12)
-    assert s.welch(slow, mixed).p == pytest.approx(stats.ttest_ind(slow, mixed, equal_var=False).pvalue)
+    assert s.welch(slow, mixed).p == pytest.approx(stats.ttest_1samp(mixed, 50.0).pvalue)
     assert s.welch(slow, mixed).worse()
 
 
@@ -192,12 +192,12 @@ def test_holm_in_the_table_counts_the_worlds() -> None:
     assert 0.0125 < s.welch(far + 0.5, near).p < 0.05
     times = {("w", "A"): far + 0.5, ("w", "B"): near}
     times |= {(f"w{k}", method): near for k in range(40) for method in "AB"}
-    e = s.entry(times, "A", "B")
+    e = s.entry(s.verdicts(times, "A", "B"))
     assert (e.worse, e.worse_holm) == (pytest.approx(100.0 / 41.0), 0.0)
 
 
 def test_no_worlds_at_all() -> None:
-    e = s.entry({}, "A", "B")
+    e = s.entry(s.verdicts({}, "A", "B"))
     assert e.worlds == 0
     assert math.isnan(e.worse)
     assert math.isnan(e.interval[0])
