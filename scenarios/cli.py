@@ -16,6 +16,7 @@ from typing import Annotated, Literal
 import tyro
 from tyro.conf import OmitArgPrefixes, Positional
 
+from scenarios.bags.options import BagOptions
 from scenarios.errors import UserError
 from scenarios.switches import Switches
 
@@ -32,6 +33,7 @@ def run(
     start: str | None = None,
     goal: str | None = None,
     record: Path | None = None,
+    record_bag: Path | None = None,
     json: bool = False,
     switches: Annotated[Switches, OmitArgPrefixes] = Switches(),  # noqa: B008 (tyro reads the default; it is frozen)
 ) -> int:
@@ -48,34 +50,47 @@ def run(
         start: "x,y,yaw" in metres and radians, for worlds that bring none.
         goal: "x,y" in metres, for worlds that bring none.
         record: Write a Rerun recording (.rrd) here.
+        record_bag: Write the drive as a ROS 2 bag (.mcap) here (docs/real_robot.md).
         json: Print one JSON object on stdout and nothing else.
         switches: Planner switches.
     """
     from scenarios.run import run_command
 
-    return run_command(world, driver, protocol, seed, params, start, goal, record, json, switches)
+    return run_command(world, driver, protocol, seed, params, start, goal, record, record_bag, json, switches)
 
 
 def collect(
-    world: Positional[str],
+    world: Positional[str | None] = None,
     /,
+    *,
     out: Path,
     protocol: Protocol = "appli",
     seed: int = 0,
     rewind: bool = True,
     record: bool = False,
+    bag: Annotated[BagOptions, OmitArgPrefixes] = BagOptions(),  # noqa: B008 (tyro reads the default; it is frozen)
 ) -> int:
     """Watch the default planner, intervene like a person, and write the interventions (types A, B and D).
 
+    With --bag: take them out of a recorded drive instead (docs/real_robot.md).
+
     Args:
-        world: As for `appli run`.
+        world: As for `appli run`; with --bag only the name that the interventions get.
         out: Folder for the interventions, one .npz each.
         protocol: Start, goal, tolerance and time limit of BARN worlds.
         seed: Root of all noise.
         rewind: --no-rewind takes over where the robot failed and brings it to a good state first; only what follows
             is learnt from, and type D is left out.
         record: Write a recording of each demonstration beside it.
+        bag: Recorded drives.
     """
+    if bag.bag is not None:
+        from scenarios.bags.importing import collect_bag_command
+
+        return collect_bag_command(bag, world, out, seed, rewind, record)
+    bag.refuse_without_bag()
+    if world is None:
+        raise UserError(f"collect needs a WORLD or --bag FILE; try: appli collect training --out {out}")
     from scenarios.collect import collect_command
 
     return collect_command(world, out, protocol, seed, rewind, record)

@@ -33,6 +33,7 @@ def run_command(
     start: str | None,
     goal: str | None,
     record: Path | None,
+    record_bag: Path | None,
     json: bool,
     switches: Switches,
 ) -> int:
@@ -40,6 +41,8 @@ def run_command(
     if seed < 0:
         raise UserError(f"--seed must be 0 or more, not {seed}")
     check_recording_path(record)
+    if record_bag is not None and record_bag.suffix != ".mcap":
+        raise UserError(f"--record-bag takes a file that ends in .mcap, not {record_bag}")
     with blame():
         theta = PlannerParams() if params is None else read_params(params)
         world = load_world(world_name, protocol, start=start, goal=goal)
@@ -47,7 +50,7 @@ def run_command(
         make_driver(spec)  # a wrong name or file is told before anything is compiled
     compile_kernels()
     began = time.perf_counter()
-    result = _run_watched(spec, world, record, quiet=json or not sys.stderr.isatty())
+    result = _run_watched(spec, world, record, record_bag, quiet=json or not sys.stderr.isatty())
     wall = time.perf_counter() - began
     report = {
         "world": world.name,
@@ -58,8 +61,11 @@ def run_command(
         "wall_time": round(wall, 3),
         "real_time_factor": round(result.ticks * 0.05 / wall, 2),
         "recording": None if record is None else str(record),
+        "bag": None if record_bag is None else str(record_bag),
     }
     print(json_module.dumps(report) if json else summary(world, result, report["real_time_factor"], record))
+    if record_bag is not None and not json:
+        print(f"  bag: {record_bag}")
     return 0 if result.outcome is Outcome.REACHED else 1
 
 
@@ -81,8 +87,10 @@ def _closest(clearance: float) -> str:
     return f"closest {clearance:.2f} m" if math.isfinite(clearance) else "nothing near"
 
 
-def _run_watched(spec: TrialSpec, world: World, record: Path | None, quiet: bool) -> TrialResult:
-    """Run with a recorder and a progress line attached as asked; Ctrl-C closes the recording first."""
+def _run_watched(
+    spec: TrialSpec, world: World, record: Path | None, record_bag: Path | None, quiet: bool
+) -> TrialResult:
+    """Run with recorders and a progress line attached as asked; Ctrl-C closes the files first."""
     watchers: list[Callable[[Tick], Any]] = [] if quiet else [_progress]
     with ExitStack() as stack:
         if record is not None:
@@ -92,6 +100,12 @@ def _run_watched(spec: TrialSpec, world: World, record: Path | None, quiet: bool
                 metadata = recording_metadata(spec, world)
                 recorder = stack.enter_context(Recorder(record, world, metadata))
             watchers.append(recorder.add)
+        if record_bag is not None:
+            from scenarios.bags.recording import BagRecorder
+
+            with blame():
+                bag = stack.enter_context(BagRecorder(record_bag))
+            watchers.append(bag.add)
         if not quiet:
             stack.callback(lambda: print(file=sys.stderr))
         with blame():

@@ -67,6 +67,7 @@ DOORWAYS: dict[str, tuple[str, ...]] = {
     "mujoco": ("twin.simulation", "twin.arena", "twin.robot", "scenarios.surfaces.studio"),  # Studio comes with mujoco
     "websockets": ("scenarios.surfaces.studio",),
     "dm_control": ("twin.arena", "twin.robot"),
+    "rosbags": ("scenarios.bags.files",),
 }
 
 

@@ -60,7 +60,7 @@ def test_no_heavy_import_for_help_or_a_plain_run() -> None:
         "import sys; from scenarios.cli import main\n"
         "try: main(['run', 'open', '--json'])\n"
         "except SystemExit: pass\n"
-        "print(sorted({'torch', 'rerun', 'dask', 'distributed', 'matplotlib'} & set(sys.modules)))"
+        "print(sorted({'torch', 'rerun', 'dask', 'distributed', 'matplotlib', 'rosbags'} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip().splitlines()[-1] == "[]"
