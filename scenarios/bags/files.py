@@ -193,6 +193,8 @@ class BagReader:
         self.start = self._reader.start_time  # [ns] of the first message
         self.end = self._reader.end_time - 1  # [ns] of the last message; rosbags counts one more
         self.topics = {c.topic: c.msgtype for c in self._reader.connections}  # name -> type such as std_msgs/msg/String
+        self._counts = {name: info.msgcount for name, info in self._reader.topics.items()}
+        self.silent = {name for name, count in self._counts.items() if count == 0}
 
     def __enter__(self) -> BagReader:
         return self
@@ -212,7 +214,7 @@ class BagReader:
         connections = [c for c in self._reader.connections if c.topic in topics]
         if not connections:
             return
-        latest = self.start
+        latest, count = self.start, 0
         with self._explained():
             for connection, time, data in self._reader.messages(connections, stop=None if until is None else until + 1):
                 if time < latest:
@@ -220,8 +222,12 @@ class BagReader:
                         f"{self.path}: time goes back by {(latest - time) / 1e9:.3f} s at "
                         f"{self.seconds(latest):.2f} s; was the clock reset while recording?"
                     )
-                latest = time
+                latest, count = time, count + 1
                 yield connection.topic, time, self._reader.deserialize(data, connection.msgtype)
+            if until is None and count != (
+                expected := sum(self._counts[name] for name in {c.topic for c in connections})
+            ):
+                raise ValueError(f"{expected - count} of {expected} messages are missing")
 
     @contextlib.contextmanager
     def _explained(self) -> Iterator[None]:

@@ -108,7 +108,8 @@ def goals_in_odom(bag: BagReader, topic: str, odom: str) -> list[tuple[int, Pose
 def pose_in_plane(pose: Any, where: str) -> Pose2:
     """A geometry_msgs/Pose seen from above. Raises BagError when it is none."""
     p, q = pose.position, pose.orientation
-    return Pose2(*finite(where, p.x, p.y), _yaw(where, q.x, q.y, q.z, q.w))
+    x, y = finite(where, p.x, p.y)
+    return Pose2(x, y, _yaw(where, q.x, q.y, q.z, q.w))
 
 
 def finite(where: str, *values: float) -> tuple[float, ...]:

@@ -109,9 +109,7 @@ def read_interventions(options: BagOptions, source: Source, out: Path) -> tuple[
             for time, pose in goals_in_odom(bag, goal, frame)
         ]
         if not goals:
-            raise BagError(
-                f"{bag.path}: {goal} never gives a goal; a path will do: --goal and a topic of type nav_msgs/Path"
-            )
+            raise BagError(f"{bag.path}: {goal} never gives a goal, only empty paths; try another --goal topic")
         compile_kernels()
         until = bag.start + round(max(span.end for span in spans) * 1e9)
         gatherings = [_Gathering(span, label) for span, label in _labelled(spans, out)]

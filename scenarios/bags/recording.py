@@ -1,6 +1,7 @@
 """A fold over ticks that writes a drive as a ROS 2 bag: what the robot published and was told, and nothing else.
 
-The bag's clock is the simulation's, so that equal drives give equal bags. Every message of a tick carries its time.
+The bag's clock is the simulation's plus one second, so that equal drives give equal bags. Every message of a tick
+carries its time.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ PLAN = Topic("/plan", "nav_msgs/msg/Path")
 GOAL = Topic("/goal", "geometry_msgs/msg/PoseStamped")
 TOPICS = (SCAN, ODOMETRY, CMD_VEL, TF, TF_STATIC, PLAN, GOAL)
 
+BEGIN = 10**9  # [ns] on the bag's clock when the simulation starts: to ROS a stamp of zero means "not set"
 POSE_VARIANCES = (0.001, 0.001, 1e6, 1e6, 1e6, 0.03)  # jackal_control/config/control.yaml
 TWIST_VARIANCES = (0.001, 0.001, 0.001, 1e6, 1e6, 0.03)  # jackal_control/config/control.yaml
 
@@ -56,7 +58,7 @@ class BagRecorder:
 def messages(tick: Tick, before: Tick | None) -> list[Stamped]:
     """What the robot says in one tick. Goal and plan are said when they are new."""
     x, decision = tick.observation, tick.decision
-    time = round(x.time * 1e9)
+    time = BEGIN + round(x.time * 1e9)
     said: list[Stamped] = []
     if before is None:
         said.append((TF_STATIC.name, time, _transforms(time, BASE, LASER, x.scan.mount, 0.0)))

@@ -54,7 +54,8 @@ class _Odometry:
         if self.start is None:
             self.start = pose
         v, w = finite(where, sent.twist.twist.linear.x, sent.twist.twist.angular.z)
-        self.track.append((stamp(sent, time), Pose2(pose.x - self.start.x, pose.y - self.start.y, pose.yaw)))
+        made = _onwards(self.track[-1][0] if self.track else None, stamp(sent, time), where)
+        self.track.append((made, Pose2(pose.x - self.start.x, pose.y - self.start.y, pose.yaw)))
         self.twist, self.heard = Twist2(v, w), time
 
     def at(self, time: int) -> Pose2:
@@ -78,12 +79,8 @@ class Robot:
 
 def find_robot(bag: BagReader, scan: str, odometry: str, cmd_vel: str) -> tuple[Robot, str | None]:
     """The robot of a bag, and a remark when its lidar's place had to be guessed."""
-    first = {}
-    for topic in (scan, odometry):
-        first[topic] = next((sent for _, _, sent in bag.messages([topic])), None)
-        if first[topic] is None:
-            raise BagError(f"{bag.path}: {topic} is in it but never says anything")
-    base, laser = first[odometry].child_frame_id or "base_link", first[scan].header.frame_id
+    firsts = {topic: _first(bag, topic) for topic in (scan, odometry)}
+    base, laser = firsts[odometry].child_frame_id or "base_link", firsts[scan].header.frame_id
     placement = find_lidar(bag, base, laser)
     remark = None
     if placement is None:
@@ -96,59 +93,81 @@ def find_robot(bag: BagReader, scan: str, odometry: str, cmd_vel: str) -> tuple[
 
 def odom_frame(bag: BagReader, odometry: str) -> tuple[str, Pose2]:
     """The frame of odometry, and where in it the robot was first."""
-    sent = next(sent for _, _, sent in bag.messages([odometry]))
+    sent = _first(bag, odometry)
     return sent.header.frame_id or "odom", pose_in_plane(sent.pose.pose, f"{odometry} at its start")
+
+
+def _first(bag: BagReader, topic: str) -> Any:
+    for _, _, sent in bag.messages([topic]):
+        return sent
+    raise BagError(f"{bag.path}: {topic} never says anything")
 
 
 def moments(bag: BagReader, robot: Robot, until: int) -> Iterator[Moment]:
     """Every tick from when scan and odometry are known until a time [ns]. Raises BagError for a useless message."""
-    odometry, scans = _Odometry(robot.odometry), robot.scans
-    scan: Any = None
-    heard_scan, scan_stamp, odometry_stamp = 0, 0, 0
-    converted: Scan | None = None
-    command, commanded = STOP, -HOLD - 1
-    obstacles, due = no_obstacles(), None
-    topics = (scans.topic, robot.odometry, robot.cmd_vel)
-
-    def tick(time: int) -> Moment:
-        nonlocal obstacles, converted
-        if converted is None:
-            try:
-                converted = scans.scan(scan)
-            except BagError as error:
-                raise BagError(f"{bag.path}: at {bag.seconds(heard_scan):.2f} s {error}") from None
-        silent = {scans.topic: time - heard_scan, robot.odometry: time - odometry.heard}
-        stale = next((topic for topic, age in silent.items() if age > STALE), None)
-        pose = odometry.track[-1][1]
-        if stale is None:
-            if abs(scan_stamp - odometry.track[-1][0]) > STALE + APART:
-                raise BagError(
-                    f"{bag.path}: at {bag.seconds(time):.2f} s the stamps of {scans.topic} and {robot.odometry} are "
-                    f"{abs(scan_stamp - odometry.track[-1][0]) / 1e9:.1f} s apart; were the clocks synchronised?"
-                )
-            obstacles = remember(obstacles, converted, pose, odometry.at(scan_stamp))
-        held = command if time - commanded <= HOLD else None
-        return Moment(time, pose, odometry.twist, converted, obstacles, held, stale)
-
-    for topic, time, sent in bag.messages(topics, until):
+    state, due = _State(bag, robot), None
+    for topic, time, sent in bag.messages((robot.scans.topic, robot.odometry, robot.cmd_vel), until):
         while due is not None and due < time:
-            yield tick(due)
+            yield state.moment(due)
             due += PERIOD
-        where = f"{bag.path}: {topic} at {bag.seconds(time):.2f} s"
-        if topic == scans.topic:
-            scan_stamp = _onwards(scan_stamp, stamp(sent, time), where)
-            scan, heard_scan, converted = sent, time, None
-        elif topic == robot.odometry:
-            odometry_stamp = _onwards(odometry_stamp, stamp(sent, time), where)
-            odometry.hear(time, sent, where)
-        else:
-            twist = getattr(sent, "twist", sent)  # TwistStamped or Twist
-            command, commanded = Command(*finite(where, twist.linear.x, twist.angular.z)), time
-        if due is None and scan is not None and odometry.track:
+        state.hear(topic, time, sent)
+        if due is None and state.complete:
             due = time
     while due is not None and due <= until:
-        yield tick(due)
+        yield state.moment(due)
         due += PERIOD
+
+
+class _State:
+    """The fold from messages to moments."""
+
+    def __init__(self, bag: BagReader, robot: Robot) -> None:
+        self._bag, self._robot = bag, robot
+        self._odometry = _Odometry(robot.odometry)
+        self._sweep: tuple[int, int, Any] | None = None  # time, stamp [ns] and message of the latest scan
+        self._scan: Scan | None = None  # the same, once a tick needed it
+        self._command, self._commanded = STOP, -HOLD - 1
+        self._obstacles = no_obstacles()
+
+    @property
+    def complete(self) -> bool:
+        """Whether there is enough for a moment."""
+        return self._sweep is not None and bool(self._odometry.track)
+
+    def hear(self, topic: str, time: int, sent: Any) -> None:
+        """Take one message into account."""
+        where = f"{self._bag.path}: {topic} at {self._bag.seconds(time):.2f} s"
+        if topic == self._robot.scans.topic:
+            before = None if self._sweep is None else self._sweep[1]
+            self._sweep, self._scan = (time, _onwards(before, stamp(sent, time), where), sent), None
+        elif topic == self._robot.odometry:
+            self._odometry.hear(time, sent, where)
+        else:
+            twist = sent.twist if hasattr(sent, "twist") else sent  # TwistStamped or Twist
+            self._command, self._commanded = Command(*finite(where, twist.linear.x, twist.angular.z)), time
+
+    def moment(self, time: int) -> Moment:
+        """What is known at a tick; the maps remember the scan."""
+        assert self._sweep is not None  # since `complete`
+        heard, made, sent = self._sweep
+        odometry, scans = self._odometry, self._robot.scans
+        if self._scan is None:
+            try:
+                self._scan = scans.scan(sent)
+            except BagError as error:
+                raise BagError(f"{self._bag.path}: at {self._bag.seconds(heard):.2f} s {error}") from None
+        newest, pose = odometry.track[-1]
+        ages = {scans.topic: time - heard, odometry.topic: time - odometry.heard}
+        stale = next((topic for topic, age in ages.items() if age > STALE), None)
+        if stale is None:
+            if abs(made - newest) > STALE + APART:
+                raise BagError(
+                    f"{self._bag.path}: at {self._bag.seconds(time):.2f} s the stamps of {scans.topic} and "
+                    f"{odometry.topic} are {abs(made - newest) / 1e9:.1f} s apart; were the clocks synchronised?"
+                )
+            self._obstacles = remember(self._obstacles, self._scan, pose, odometry.at(made))
+        command = self._command if time - self._commanded <= HOLD else None
+        return Moment(time, pose, odometry.twist, self._scan, self._obstacles, command, stale)
 
 
 def stamp(sent: Any, recorded: int) -> int:
@@ -157,8 +176,9 @@ def stamp(sent: Any, recorded: int) -> int:
     return made or recorded
 
 
-def _onwards(before: int, now: int, where: str) -> int:
-    if now < before:
+def _onwards(before: int | None, now: int, where: str) -> int:
+    """The newer of two stamps [ns]."""
+    if before is not None and now < before:
         raise BagError(f"{where} has a stamp {(before - now) / 1e9:.3f} s before the one before; was a clock reset?")
     return now
 

@@ -56,7 +56,7 @@ class ScanReader:
         """For every wanted beam the index of the nearest measured one; None where they are the same."""
         if count < 2 or not math.isfinite(first) or not math.isfinite(step) or step == 0.0:
             raise BagError(f"{self.topic} has {count} beams {step:g} rad apart, which is no sweep")
-        measured = self.placement.bearings(first + step * np.arange(count))
+        measured = self.placement.bearings(first + step * np.arange(count, dtype=np.float64))
         if count == SENSOR.beams and np.abs(measured - WANTED).max() < SAME:
             return None
         nearest, off = nearest_beams(measured)

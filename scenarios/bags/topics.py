@@ -58,8 +58,10 @@ def find_topic(bag: BagReader, part: Part, wanted: str | None) -> str:
                 f"{bag.path}: {name} holds {_short(bag.topics[name])}; {part.option} takes {_types(part)}; "
                 f"it has {listing(bag)}"
             )
+        if name in bag.silent:
+            raise BagError(f"{bag.path}: {name} never says anything; it has {listing(bag)}")
         return name
-    fitting = [name for name, type_name in sorted(bag.topics.items()) if type_name in part.types]
+    fitting = [n for n, type_name in sorted(bag.topics.items()) if type_name in part.types and n not in bag.silent]
     if not fitting:
         raise BagError(f"{bag.path}: no {part.what} ({_types(part)}); it has {listing(bag)}")
     for usual in part.usual:
@@ -74,7 +76,10 @@ def find_topic(bag: BagReader, part: Part, wanted: str | None) -> str:
 
 def listing(bag: BagReader) -> str:
     """All topics with their types."""
-    return ", ".join(f"{name} ({_short(type_name)})" for name, type_name in sorted(bag.topics.items()))
+    return ", ".join(
+        f"{name} ({_short(type_name)}{', silent' if name in bag.silent else ''})"
+        for name, type_name in sorted(bag.topics.items())
+    )
 
 
 def _short(type_name: str) -> str:
