@@ -92,7 +92,7 @@ def _run_watched(
 ) -> TrialResult:
     """Run with recorders and a progress line attached as asked; Ctrl-C closes the files first."""
     watchers: list[Callable[[Tick], Any]] = [] if quiet else [_progress]
-    with ExitStack() as stack:
+    with blame(), ExitStack() as stack:  # closing a file can fail, too
         if record is not None:
             from twin.recording import Recorder
 

@@ -17,6 +17,7 @@ from twin.records import Array, Pose2
 from twin.robot.jackal import LIDAR_MOUNTS
 
 UPRIGHT = math.cos(math.radians(3.0))  # a lidar tilted by more sees the floor or the ceiling
+TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 MANY = 10_000  # transforms looked at for the lidar's place
 DEEPEST = 32  # links of a chain of frames; a longer one is a circle
 
@@ -126,10 +127,9 @@ def _yaw(where: str, x: float, y: float, z: float, w: float) -> float:
 
 
 def _transforms(bag: BagReader, topic: str) -> Iterator[tuple[int, str, Transform]]:
-    """(time, child, transform) of a tf topic."""
-    if "TFMessage" not in bag.topics.get(topic, ""):
-        return
-    for _, time, sent in bag.messages([topic]):
+    """(time, child, transform) of a tf topic, with or without a namespace in front of its name."""
+    named = [name for name, type_name in bag.topics.items() if name.endswith(topic) and type_name in TF_TYPES]
+    for _, time, sent in bag.messages(named):
         for link in sent.transforms:
             t, q = link.transform.translation, link.transform.rotation
             rotation = _rotation(q.x, q.y, q.z, q.w)

@@ -215,6 +215,17 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_disk_that_is_full_at_the_very_end(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("rosbags.rosbag2.storage_mcap.McapWriter.close", full)
+    assert "no space left" in complaint(capsys, "run", "open", "--record-bag", str(tmp_path / "b.mcap"))
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_ctrl_c_closes_the_bag(tmp_path: Path) -> None:
     path = tmp_path / "b.mcap"
     child = subprocess.Popen(

@@ -188,3 +188,33 @@ def test_a_scan_between_two_odometry_messages_is_placed_between_their_poses(tmp_
     pairs = [(s.observation, t.observation) for s, t in zip(made.steps, drive()[48:88], strict=True)]
     moved = [np.count_nonzero(ours.global_map.cells != twins.global_map.cells) for ours, twins in pairs]
     assert np.mean(moved) < 15, "of 238 marked cells; the older pose would move 50, the latest 180"
+
+
+def test_a_jackal_under_ros_2_is_recognised(tmp_path: Path, bag: Path) -> None:
+    """Its topics have a namespace, its commands a stamp."""
+    names = {
+        "/scan": "/j100_0042/sensors/lidar2d_0/scan",
+        "/odometry": "/j100_0042/platform/odom/filtered",
+        "/cmd_vel": "/j100_0042/platform/cmd_vel",
+        "/tf": "/j100_0042/tf",
+        "/tf_static": "/j100_0042/tf_static",
+        "/plan": "/j100_0042/plan",
+        "/goal": "/j100_0042/goal_pose",
+    }
+    stamped = "geometry_msgs/msg/TwistStamped"
+    topics = [
+        dataclasses.replace(t, name=names[t.name], type_name=stamped if t.name == "/cmd_vel" else t.type_name)
+        for t in TOPICS
+    ]
+    header = message("std_msgs/msg/Header", message("builtin_interfaces/msg/Time", 0, 0), "base_link")
+    content = spoilt(said(drive()), "/cmd_vel", lambda _, sent: message(stamped, header, sent))
+    path = write_mcap(tmp_path / "b.mcap", [(names[name], at, sent) for name, at, sent in content], topics)
+    assert read(path, range=("3:4:A",))[0].digest == read(bag, range=("3:4:A",))[0].digest
+
+
+def test_without_tf_the_lidar_is_barns(tmp_path: Path, bag: Path) -> None:
+    path = write_mcap(tmp_path / "b.mcap", spoilt(said(drive()), "/tf_static", lambda *_: None))
+    options = BagOptions(bag=path, range=("3:4:A",))
+    (made,), (remark,) = read_interventions(options, Source("room", 0), tmp_path)
+    assert "front_laser" in remark
+    assert made.digest == read(bag, range=("3:4:A",))[0].digest
