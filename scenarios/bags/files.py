@@ -23,7 +23,7 @@ Stamped = tuple[str, int, Any]  # topic, time [ns], message
 # The types used here are the same in every ROS 2 so far. Humble's sqlite3 bags do not bring their definitions along.
 TYPES = get_typestore(Stores.ROS2_HUMBLE)
 
-_FOREVER = QosTime(2147483647, 4294967295)  # RMW_DURATION_INFINITE, as rosbag2 writes it
+_FOREVER = QosTime(9223372036, 854775807)  # RMW_DURATION_INFINITE; rmw/time.h
 LATCHED = Qos(
     QosHistory.KEEP_LAST,
     1,
