@@ -8,6 +8,7 @@ what is stored is never done twice: a sweep that was stopped in whatever way goe
 from __future__ import annotations
 
 import logging
+import multiprocessing
 import os
 import queue
 import signal
@@ -34,12 +35,11 @@ from scenarios.store import Store, StoredTrial
 AHEAD = 2  # jobs handed out per worker thread: one in work, one waiting
 MEMORY = 1024**3  # bytes per local worker; one needs a third of it, and is started anew when it takes more
 COUNT_EVERY = 5.0  # [s] between looks at how many workers there are
-CONNECT = 20.0  # [s] to reach a scheduler
+CONNECT = 5.0  # [s] to reach a scheduler; one that has gone has forgotten its jobs, so waiting longer gains nothing
 REPLIES = 0.2  # [s] between looks at the keyboard
 
 SETTINGS = {
     "distributed.worker.profile.enabled": False,  # samples the stack a hundred times a second
-    "distributed.comm.timeouts.connect": f"{CONNECT}s",
 }
 
 
@@ -197,8 +197,9 @@ class Equipment(WorkerPlugin):  # type: ignore[misc]
 @contextmanager
 def _cluster(agenda: Agenda, workers: int | None, scheduler: str | None) -> Iterator[Client]:
     """A client of the scheduler at that address, or of one of our own with a process per core."""
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters of it reaches the user as one line
     with ExitStack() as stack, dask.config.set(SETTINGS):
+        logging.disable(logging.CRITICAL)  # what matters of dask's many words reaches the user as one line
+        stack.callback(logging.disable, logging.NOTSET)
         if scheduler is None:
             compile_kernels()  # so that the workers find them compiled
             cluster = stack.enter_context(_local_cluster(workers or _cores()))
@@ -215,7 +216,12 @@ def _cluster(agenda: Agenda, workers: int | None, scheduler: str | None) -> Iter
             raise UserError(f"the workers refuse ({error}); is appli-twin installed there?") from error
         if scheduler is not None:
             stack.callback(_unequip, client, name)
-        yield client
+        try:
+            yield client
+        except BaseException:  # stop at once: do not ask busy workers to finish
+            for child in multiprocessing.active_children() if scheduler is None else ():
+                child.kill()
+            raise
 
 
 def _unequip(client: Client, name: str) -> None:
