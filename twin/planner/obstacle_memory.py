@@ -27,8 +27,8 @@ def no_obstacles() -> ObstacleMemory:
 def remember(memory: ObstacleMemory, scan: Scan, pose: Pose2, taken_at: Pose2 | None = None) -> ObstacleMemory:
     """The maps after one update by `scan`, with the robot at `pose` (odom_from_base).
 
-    `taken_at` is where the robot was when the scan was taken (the observation buffer of `costmap_2d` places each scan by
-    tf at its own stamp); without it, scan and update are one instant, as in the twin.
+    `taken_at` is where the robot was when the scan was taken (`costmap_2d::ObservationBuffer` places each scan by tf at
+    its own stamp); without it, scan and update are one instant, as in the twin.
     """
     points, sensor = scan_points(scan, pose if taken_at is None else taken_at)
     return ObstacleMemory(
