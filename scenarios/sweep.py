@@ -31,6 +31,7 @@ from scenarios.job import OtherCodeError, do, equip, failed
 from scenarios.progress import Display, Pace, duration
 from scenarios.run import compile_kernels
 from scenarios.store import Store, StoredTrial
+from twin.compiled import FIRST_TIME
 
 AHEAD = 2  # jobs handed out per worker thread: one in work, one waiting
 MEMORY = 1024**3  # bytes per local worker; one needs a third of it, and is started anew when it takes more
@@ -106,10 +107,12 @@ class Sweep:
     def run(self, jobs: list[Job]) -> bool:
         """Until nothing is left to do. Returns whether it was stopped before that."""
         waiting = iter(jobs)
-        room, counted, told = 0, -COUNT_EVERY, False
+        room, counted, told = -1, -COUNT_EVERY, False
         while True:
             if time.monotonic() - counted > COUNT_EVERY:
-                room, counted = self._room(), time.monotonic()
+                before, room, counted = room, self._room(), time.monotonic()
+                if room == 0 and before != 0:
+                    self.display.note("waiting for workers; start some with: dask worker ADDRESS --nthreads 1")
             while len(self.flying) < room and not self.stop.is_set():
                 job = next(waiting, None)
                 if job is None:
@@ -201,7 +204,8 @@ def _cluster(agenda: Agenda, workers: int | None, scheduler: str | None) -> Iter
         logging.disable(logging.CRITICAL)  # what matters of dask's many words reaches the user as one line
         stack.callback(logging.disable, logging.NOTSET)
         if scheduler is None:
-            compile_kernels()  # so that the workers find them compiled
+            if FIRST_TIME:  # once here rather than in every worker at the same time
+                compile_kernels()
             cluster = stack.enter_context(_local_cluster(workers or _cores()))
             client = stack.enter_context(Client(cluster))
         else:

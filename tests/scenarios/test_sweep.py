@@ -23,7 +23,7 @@ from tests.learning.classifiers import FAR, NEAR, range_classifier
 from twin.planner.params import PlannerParams
 
 ROOT = Path(__file__).resolve().parents[2]
-RUNS = 6
+RUNS = 4
 TRIALS = 2 * RUNS
 PATIENCE = 90.0  # [s]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -254,14 +254,16 @@ def test_trials_that_raise_are_stored_and_tried_again(
 ) -> None:
     out = tmp_path / "r.sqlite"
     body = "def broken(spec, *args, **more):\n    return real(spec, *args, **more) if spec.run != 1 else 1 / 0\n"
-    done = finish(start(command(out, "--runs", "2"), **preload(tmp_path, body + "job.run_trial = broken")))
+    done = finish(
+        start(command(out, "--runs", "2", "--workers", "1"), **preload(tmp_path, body + "job.run_trial = broken"))
+    )
     assert done.returncode == 1
     assert "tracebacks" in done.stdout
     errors = [row for row in stored(out) if row.status == "error"]
     assert [row.run for row in errors] == [1, 1]
     assert all("ZeroDivisionError" in str(row.error) for row in errors)
     before = [row for row in stored(out) if row.status == "done"]
-    again = finish(start(command(out, "--runs", "3")))
+    again = finish(start(command(out, "--runs", "3", "--workers", "1")))
     assert again.returncode == 0
     assert "6 trials, 2 of them stored already, 4 to do" in again.stderr
     assert facts(out) == [row for row in unbroken if row.run < 3]
