@@ -45,10 +45,10 @@ def test_help_is_quick_and_names_every_command() -> None:
     done = appli("--help")
     assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before < 1.0
     assert done.returncode == 0
-    assert all(name in done.stdout for name in ("run", "worlds", "collect", "teleop", "bench", "demo"))
+    assert all(name in done.stdout for name in ("run", "worlds", "collect", "teleop", "sweep", "bench", "demo"))
 
 
-@pytest.mark.parametrize("command", ["run", "worlds", "collect", "teleop", "bench", "demo"])
+@pytest.mark.parametrize("command", ["run", "worlds", "collect", "teleop", "sweep", "bench", "demo"])
 def test_every_command_has_help_with_defaults(command: str) -> None:
     done = appli(command, "--help")
     assert done.returncode == 0
