@@ -44,14 +44,14 @@ class TrainingOptions:
     hidden: int = 64  # units of the dense layer in between; 0 = the authors' network
     learning_rate: float = 1e-3  # Adam; the authors' 3e-4 needs three times the steps
     batch: int = 32  # labelled scans, and as many unfamiliar ones (authors)
-    steps: int = 4000  # at most, whatever the number of scans (authors: 500 epochs)
-    least_steps: int = 2000  # before that, a few held-out scans say little about when to stop
+    steps: int = 5000  # at most, whatever the number of scans (authors: 500 epochs)
+    least_steps: int = 4000  # before that the evidence still grows, and a few held-out scans say little
     annealing_steps: int = 1000  # until the KL term has its full weight
     kl_weight: float = 0.1  # lambda after annealing; 1 holds back the evidence for the right context too
     ood_weight: float = 0.1  # of the uniform target at unfamiliar scans; 0 = the paper's plain EDL
     ood_scans: int = 3000  # made up once per training
     validation_share: float = 0.2  # of each context's time blocks (authors: of the steps)
-    patience: int = 1500  # steps without a better validation loss after which training ends
+    patience: int = 1000  # steps without a better validation loss after which training ends
     refit: bool = True  # then train anew on all blocks for as many steps as proved best (authors: full_train)
     threshold: float = 0.8  # eps_u at which the report counts confident scans
     augmentation: Augmentation = field(default_factory=Augmentation)

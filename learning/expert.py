@@ -17,9 +17,11 @@ V_RAMP = 2.0  # [m/s2] the stick is not slammed
 W_RAMP = 6.0  # [rad/s2]
 GOOD_OFFSET, GOOD_HEADING = 0.12, 0.35  # [m], [rad] from the route: a good state
 TURN_FIRST = 0.6  # [rad] heading errors above this are turned away in place
-UNSTEADY_V = 0.01  # [m/s] standard deviation of the hand's wander
-UNSTEADY_W = 0.02  # [rad/s]
-WANDER_TIME = 0.5  # [s] correlation of the wander
+# The hand's wander takes the robot a few centimetres off the route, and the demonstration shows the way back: without
+# such steps Eq. 1 does not learn how much obstacles matter (as in DART, Laskey et al. 2017; docs/learning.md).
+UNSTEADY_V = 0.03  # [m/s] standard deviation
+UNSTEADY_W = 0.20  # [rad/s]
+WANDER_TIME = 0.3  # [s] correlation
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,6 +24,8 @@ TICK = 0.05  # [s]
 LEAD = 0.5  # [s] the rewind goes this much further back than where the trouble began
 LEAST, MOST = 4.0, 12.0  # [s] a demonstration lasts
 ORDINARY_TIME = 2.0  # [s] a place passed in less is not worth a demonstration of type D
+EASY = 0.50  # [m] from the robot's centre to an obstacle: a person begins anew where there is room to steer, ...
+LOOK_BACK = 4.0  # [s] ... if that is not further back than this
 SETTLE = 2.0  # [m] without named places, a type B is acted on this far after it was noticed
 
 
@@ -121,7 +123,14 @@ class Intervener:
         start = max(self._first_tick, began - round(LEAD / TICK))
         if kind == "A" and place and place == self._place:  # a person shows a place they know from its beginning
             start = min(start, self._entered)
-        return Plea(kind, reason, began, began if kind == "D" else start, index, place)
+        return Plea(kind, reason, began, began if kind == "D" else self._easy(start), index, place)
+
+    def _easy(self, index: int) -> int:
+        """The last tick, not after `index`, with room to steer; `index` itself where there was none of late."""
+        for earlier in range(index, max(self._first_tick, index - round(LOOK_BACK / TICK)) - 1, -1):
+            if _room(self.space, self._poses[earlier]) >= EASY:
+                return earlier
+        return index
 
     @property
     def _first_tick(self) -> int:
@@ -206,4 +215,9 @@ def _expert(world: World, space: FreeSpace, plea: Plea, pose: Pose2) -> Expert:
 
 
 def _has_room(space: FreeSpace, pose: Pose2) -> bool:
-    return float(space.at(np.array([[pose.x, pose.y]]))[0]) >= ROOM
+    return _room(space, pose) >= ROOM
+
+
+def _room(space: FreeSpace, pose: Pose2) -> float:
+    """[m] from the robot's centre to the nearest obstacle."""
+    return float(space.at(np.array([[pose.x, pose.y]]))[0])

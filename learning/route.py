@@ -14,7 +14,7 @@ from twin.free_space import FreeSpace
 from twin.records import Array, Pose2, frozen_array
 
 PASSABLE = 0.25  # [m] the robot's centre stays this far from obstacles (half its width is 0.208)
-COMFORT = 0.50  # [m] wider than this, clearance is not worth a detour
+COMFORT = 0.70  # [m] wider than this, clearance is not worth a detour; half a corridor of 1.4 m
 SPACING = 0.05  # [m] between the route's points
 
 
@@ -23,9 +23,9 @@ class Pace:
     """How fast somebody drives."""
 
     top: float = 2.0  # [m/s] the Jackal's limit
-    creep: float = 0.45  # [m/s] with no room to spare
-    per_metre: float = 1.8  # [1/s] faster for every metre between the robot's side and the obstacle
-    lateral: float = 1.2  # [m/s2] comfortable in a curve
+    creep: float = 0.2  # [m/s] with no room to spare
+    per_metre: float = 1.2  # [1/s] faster for every metre between the robot's side and the obstacle
+    lateral: float = 0.8  # [m/s2] comfortable in a curve
     turn: float = 1.6  # [rad/s] comfortable
     accelerate: float = 1.2  # [m/s2]
     brake: float = 1.2  # [m/s2]
@@ -140,7 +140,8 @@ def _smooth(space: FreeSpace, points: Array, rounds: int = 400) -> Array:
         ]
         pull = np.zeros_like(points)
         pull[1:-1] = (points[:-2] + points[2:]) / 2 - points[1:-1]
-        push = away * (np.clip(COMFORT - d, 0.0, None) * 0.06)[:, None]
+        calm = 1.0 - k / rounds  # ever smaller pushes, or points would hop for ever across the middle of a corridor
+        push = away * (np.clip(COMFORT - d, 0.0, None) * 0.06 * calm)[:, None]
         step = 0.9 * pull + push
         step[[0, -1]] = 0.0
         points = points + step
