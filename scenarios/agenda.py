@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
-from learning.policy import MAX_BYTES, PolicyError, parse_policy
+from learning.policy import PolicyError
+from learning.policy_file import MAX_BYTES, parse_policy
 from scenarios.barn_files import archive_indices
 from scenarios.barn_generator import COUNT
 from scenarios.errors import UserError, blame

@@ -9,7 +9,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
-from learning.policy import ROBOT, Policy, load_policy
+from learning.policy import Policy
+from learning.policy_file import ROBOT, load_policy
 from scenarios.errors import blame
 from scenarios.export_files import Export, YamlFile, named_contexts, write_folder
 from scenarios.export_move_base import move_base_export

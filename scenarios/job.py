@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from functools import lru_cache
 
 from learning.deploy import AppliDriver
-from learning.policy import parse_policy
+from learning.policy_file import parse_policy
 from scenarios.agenda import PLAIN, Job
 from scenarios.identity import code_digest
 from scenarios.store import CONFIDENCE_BINS, StoredTrial

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import math
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,14 +12,20 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
-from learning.fit import FitResult, FitSettings, fit
+from learning.fit import FitResult, FitSettings
 from learning.interventions import Intervention, load_dataset
 from learning.labelled_scans import ScanDataset, time_blocks
-from learning.policy import Context, Policy, Provenance, save_policy
+from learning.policy import Context, Policy, Provenance
+from learning.policy_file import save_policy
 from scenarios.errors import UserError, blame
-from twin.planner.params import PARAMETER_NAMES
+from scenarios.fitting import fit_contexts
+from scenarios.run import compile_kernels
+from twin.planner.params import PARAMETER_NAMES, ParameterSpace
+
+LOOSE = 0.25  # a parameter whose value may change by this share of its range at almost no cost is not determined
+RANGE = dict(zip(PARAMETER_NAMES, zip(ParameterSpace().lower, ParameterSpace().upper, strict=True), strict=True))
 
 # The paper's seven methods; "dwa" needs no policy. Name -> (types, with the confidence measure).
 METHODS: dict[str, tuple[str, bool]] = {
@@ -35,70 +43,74 @@ def train_command(folder: Path, out: Path, types: str, seed: int, confidence: bo
     wanted = ("A,B,D" if all_methods else types).split(",")
     if not set(wanted) <= {"A", "B", "D"}:
         raise UserError(f"--types takes A, B and D with commas between, such as A,B; not {types!r}")
+    if not all_methods and out.suffix != ".safetensors":
+        raise UserError(f"--out must end in .safetensors, so that it can be driven with, not {out.name!r}")
     with blame():
         interventions = load_dataset(folder, wanted)
     target = out if all_methods else out.parent
     with blame(f"cannot use the folder {target}"):
         target.mkdir(parents=True, exist_ok=True)
+    compile_kernels()
     with blame():
-        fits = fit_contexts(interventions, seed)
+        fits = fit_contexts(interventions, FitSettings(seed=seed))
         print_fits(fits)
         if not all_methods:
             save_policy(replace(make_policy(interventions, fits, types, seed), use_confidence=confidence), out)
             print(f"policy: {out}   drive with it: appli run unseen --driver {out}")
             return 0
-        made: dict[str, Policy] = {}
-        for name, (used, confident) in METHODS.items():
-            if used not in made:
-                chosen = [i for i in interventions if i.kind in used.split(",")]
-                made[used] = make_policy(chosen, {i.label: fits[i.label] for i in chosen}, used, seed)
-            save_policy(replace(made[used], use_confidence=confident), out / f"{name}.safetensors")
+        for used, names in _methods_by_types().items():
+            policy = make_policy([i for i in interventions if i.kind in used.split(",")], fits, used, seed)
+            for name in names:
+                save_policy(replace(policy, use_confidence=METHODS[name][1]), out / f"{name}.safetensors")
     print(f"{len(METHODS)} policies in {out}")
     return 0
 
 
-def fit_contexts(interventions: Sequence[Intervention], seed: int) -> dict[str, FitResult]:
-    """Eq. 1 once per context, over all interventions that teach it; Ctrl-C keeps the best so far of the one in work."""
-    fits = {}
-    for label in sorted({i.label for i in interventions}):
-        taught = [i for i in interventions if i.label == label]
-        print(f"appli train: fitting {label} ...", end="", file=sys.stderr, flush=True)
-        result = fit(taught, FitSettings(seed=seed), _fit_progress)
-        ended = "interrupted, best so far kept" if result.interrupted else f"{result.seconds:.1f} s"
-        print(f"  loss {result.default_loss:.2f} -> {result.loss:.2f} ({ended})", file=sys.stderr, flush=True)
-        fits[label] = result
-    return fits
-
-
-def _fit_progress(*_: object) -> None:
-    if sys.stderr.isatty():
-        print(".", end="", file=sys.stderr, flush=True)
+def _methods_by_types() -> dict[str, list[str]]:
+    """Methods that differ in the confidence only share their classifier."""
+    return {used: [name for name, (types, _) in METHODS.items() if types == used] for used, _ in METHODS.values()}
 
 
 def make_policy(interventions: Sequence[Intervention], fits: dict[str, FitResult], types: str, seed: int) -> Policy:
-    """The contexts with their theta, and a classifier when there is something to tell apart."""
-    contexts = tuple(Context(label, fits[label].theta) for label in sorted(fits))
+    """The contexts of these interventions with their theta, and a classifier when there is something to tell apart."""
+    labels = sorted({i.label for i in interventions})
+    fits = {label: fits[label] for label in labels}
+    curves = {label: [(float(n), float(loss)) for n, _, loss in best_so_far(fit)] for label, fit in fits.items()}
     classifier, figures = None, {}
-    if len(contexts) > 1:
+    if len(labels) > 1:
         from learning.evidential import TrainingOptions, train
 
-        print(f"appli train: classifier for {', '.join(c.label for c in contexts)} ...", file=sys.stderr, flush=True)
+        say = functools.partial(print, file=sys.stderr, flush=True)
+        say(f"appli train: classifier for {', '.join(labels)} ...")
         trained = train(labelled_scans(interventions), TrainingOptions(seed=seed))
         classifier, figures = trained.classifier, trained.report.figures()
-        print(
-            f"appli train: held out: accuracy {figures['held_out_accuracy']:.2f}, confidence "
-            f"{figures['held_out_confidence']:.2f}; {trained.report.seconds:.0f} s",
-            file=sys.stderr,
-        )
+        curves["classifier"] = [
+            (float(r.steps), r.validation) for r in trained.report.rounds if math.isfinite(r.validation)
+        ]
+        accuracy, certain = figures["held_out_accuracy"], figures["held_out_confidence"]
+        say(f"appli train: held out: accuracy {accuracy:.2f}, confidence {certain:.2f}; {trained.report.seconds:.0f} s")
     provenance = Provenance(
         interventions={i.digest: i.label for i in interventions},
         losses={label: (result.default_loss, result.loss) for label, result in fits.items()},
+        errors={label: result.rms_error for label, result in fits.items()},
+        flatness={label: dict(result.flatness) for label, result in fits.items()},
+        curves=curves,
         figures=figures,
         versions={name: version(name) for name in ("appli-twin", "numpy", "torch", "cma")},
         types=types,
         seed=seed,
     )
-    return Policy(contexts, classifier, provenance=provenance)
+    return Policy(tuple(Context(label, fits[label].theta) for label in labels), classifier, provenance=provenance)
+
+
+def best_so_far(result: FitResult) -> list[tuple[float, float, float]]:
+    """The rows of a convergence curve that improved on all searches before them."""
+    rows, lowest = [], math.inf
+    for evaluations, search, loss in result.curve.tolist():
+        if loss < lowest:
+            lowest = loss
+            rows.append((evaluations, search, loss))
+    return rows
 
 
 def labelled_scans(interventions: Sequence[Intervention]) -> ScanDataset:
@@ -117,16 +129,27 @@ def labelled_scans(interventions: Sequence[Intervention]) -> ScanDataset:
 
 
 def print_fits(fits: dict[str, FitResult]) -> None:
-    """Table I: the learned parameters, and how well they are determined."""
-    table = Table("parameter", *fits)
+    """Table I: the learned parameters, how well they imitate, and how well they are determined."""
+    console = Console()
+    table = Table(Column("", no_wrap=True), *(Column(label, justify="right", no_wrap=True) for label in fits))
     for name in PARAMETER_NAMES:
-        row = []
-        for result in fits.values():
-            value = result.theta.as_dict()[name]
-            low, high = result.flatness.get(name, (value, value))
-            row.append(f"{value:g}" if isinstance(value, int) else f"{value:.2f}  [{low:.2f}, {high:.2f}]")
-        table.add_row(name, *row)
-    table.add_row("loss of default", *(f"{r.default_loss:.2f}" for r in fits.values()))
-    table.add_row("loss", *(f"{r.loss:.2f}" for r in fits.values()))
-    Console().print(table)
-    print("In brackets: the values that cost almost nothing while the others stay.")
+        table.add_row(name, *(_number(result.theta.as_dict()[name]) for result in fits.values()))
+    table.add_section()
+    table.add_row("Eq. 1, default", *(f"{r.default_loss:.1f}" for r in fits.values()))
+    table.add_row("Eq. 1, learned", *(f"{r.loss:.1f}" for r in fits.values()))
+    table.add_row("v error [m/s]", *(f"{r.rms_error[0]:.2f}" for r in fits.values()))
+    table.add_row("w error [rad/s]", *(f"{r.rms_error[1]:.2f}" for r in fits.values()))
+    table.add_row("steps", *(str(len(r.demonstrated)) for r in fits.values()))
+    console.print(table)
+    for label, result in fits.items():
+        loose = [
+            f"{name} {_number(low)} to {_number(high)}"
+            for name, (low, high) in result.flatness.items()
+            if (high - low) >= LOOSE * (RANGE[name][1] - RANGE[name][0])
+        ]
+        if loose:
+            console.print(f"{label} does not determine: {', '.join(loose)}", highlight=False, soft_wrap=True)
+
+
+def _number(value: float) -> str:
+    return f"{value:.2f}" if isinstance(value, float) else str(value)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from learning.deploy import AppliDriver
-from learning.policy import load_policy
+from learning.policy_file import load_policy
 from learning.published import published_parameters
 from scenarios.switches import Switches
 from scenarios.worlds import load_world

@@ -63,7 +63,7 @@ DOORWAYS: dict[str, tuple[str, ...]] = {
     "trimesh": ("twin.assets", "scenarios.imported"),
     "distributed": ("scenarios.sweep",),
     "dask": ("scenarios.sweep",),
-    "matplotlib": ("scenarios.report", "scenarios.pictures"),
+    "matplotlib": ("scenarios.report.figures",),
     "mujoco": ("twin.simulation", "twin.arena", "twin.robot", "scenarios.surfaces.studio"),  # Studio comes with mujoco
     "websockets": ("scenarios.surfaces.studio",),
     "dm_control": ("twin.arena", "twin.robot"),

@@ -15,17 +15,8 @@ import safetensors.numpy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from learning.policy import (
-    Context,
-    Policy,
-    PolicyError,
-    PolicySwitches,
-    Provenance,
-    load_policy,
-    parse_policy,
-    policy_bytes,
-    save_policy,
-)
+from learning.policy import Context, Policy, PolicyError, PolicySwitches, Provenance
+from learning.policy_file import load_policy, parse_policy, policy_bytes, save_policy
 from tests.learning.classifiers import random_classifier
 from twin.planner.move_base import MoveBaseSettings
 from twin.planner.params import PlannerParams
@@ -37,7 +28,17 @@ POLICY = Policy(
     eps_u=0.75,
     window=7,
     switches=PolicySwitches(path_gate=True, inflation="local", couple_min_vel_theta=True),
-    provenance=Provenance({"0a1b": "C0"}, {"C0": (12.5, 0.1)}, {"accuracy": 0.95}, {"torch": "2"}, "A,B", 3),
+    provenance=Provenance(
+        {"0a1b": "C0"},
+        {"C0": (12.5, 0.1)},
+        {"C0": (0.05, 0.2)},
+        {"C0": {"max_vel_x": (0.4, 0.5)}},
+        {"C0": [(12.0, 3.5), (24.0, 0.1)], "classifier": [(100.0, 0.7)]},
+        {"accuracy": 0.95},
+        {"torch": "2"},
+        "A,B",
+        3,
+    ),
 )
 EMPTY = Policy(())
 
@@ -104,7 +105,7 @@ def test_a_failed_save_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.M
     def fail(*_: object) -> None:
         raise OSError("no space left on device")
 
-    monkeypatch.setattr("learning.policy.os.replace", fail)
+    monkeypatch.setattr("learning.policy_file.os.replace", fail)
     with pytest.raises(OSError, match="no space"):
         save_policy(POLICY, path)
     assert path.read_bytes() == before

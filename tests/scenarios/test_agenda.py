@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from learning.policy import Context, Policy, PolicySwitches, policy_bytes
+from learning.policy import Context, Policy, PolicySwitches
+from learning.policy_file import policy_bytes
 from scenarios import agenda, identity, job
 from scenarios.agenda import Agenda, make_agenda
 from scenarios.errors import UserError

@@ -19,7 +19,8 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from learning.policy import Context, Policy, PolicySwitches, Provenance, policy_bytes, save_policy
+from learning.policy import Context, Policy, PolicySwitches, Provenance
+from learning.policy_file import policy_bytes, save_policy
 from scenarios.cli import main
 from scenarios.export_files import write_folder
 from scenarios.export_move_base import move_base_export
@@ -39,7 +40,12 @@ POLICY = Policy(
     eps_u=0.7,
     window=12,
     provenance=Provenance(
-        {"0a1b": "B1", "2c3d": "A1"}, {"B1": (12.5, 0.25)}, {"accuracy": 0.9}, {"cma": "3"}, "A,B", 7
+        {"0a1b": "B1", "2c3d": "A1"},
+        {"B1": (12.5, 0.25)},
+        figures={"accuracy": 0.9},
+        versions={"cma": "3"},
+        types="A,B",
+        seed=7,
     ),
 )
 ALL_SWITCHES = [PolicySwitches(False, i, c) for i in ("both", "local") for c in (False, True)]  # type: ignore[arg-type]

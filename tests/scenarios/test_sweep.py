@@ -14,7 +14,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from learning.policy import Context, Policy, save_policy
+from learning.policy import Context, Policy
+from learning.policy_file import save_policy
 from scenarios.errors import UserError
 from scenarios.progress import Pace, duration
 from scenarios.store import Store, StoredTrial
