@@ -194,6 +194,34 @@ def sweep(
     return sweep_command(out, worlds, methods, policies, runs, seed, protocol, workers, scheduler)
 
 
+def report(
+    results: Positional[str],
+    /,
+    out: Path | None = None,
+    policies: Path | None = None,
+    worlds: str | None = None,
+    pick: str = "",
+    check: Path | None = None,
+    update: Path | None = None,
+) -> int:
+    """Tables, figures and one page from the results of sweeps, next to the paper's (docs/experiments.md).
+
+    Exit code 1 = with --check, the README's tables differ from the results.
+
+    Args:
+        results: Files written by `appli sweep`, with commas between.
+        out: Folder for report.html, report.md, tables/*.csv and figures/*.svg.
+        policies: Folder of the policies that were driven: adds Table I, maps of the contexts and learning curves.
+        worlds: Files of the BARN worlds that were driven, as for `appli sweep`: adds their difficulty metrics.
+        pick: Which version, when the results hold several: newest, or the beginning of a code digest.
+        check: A README whose tables, between <!-- table: NAME --> and <!-- end -->, must agree with the results.
+        update: A README whose tables are rewritten.
+    """
+    from scenarios.report.command import report_command
+
+    return report_command(results, out, policies, worlds, pick, check, update)
+
+
 def worlds(json: bool = False) -> int:
     """List the built-in worlds.
 
@@ -238,6 +266,7 @@ COMMANDS: dict[str, Callable[..., int]] = {
     "teleop": teleop,
     "train": train,
     "sweep": sweep,
+    "report": report,
     "export": export,
     "worlds": worlds,
     "bench": bench,

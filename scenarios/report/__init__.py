@@ -1,0 +1,1 @@
+"""`appli report`: tables, figures and one page from stored trials."""

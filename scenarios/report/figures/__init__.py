@@ -1,0 +1,1 @@
+"""Pictures of the report: the only files that draw with matplotlib."""
