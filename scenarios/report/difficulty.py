@@ -47,7 +47,8 @@ def measure(experiment: Experiment, worlds: str) -> Difficulty:
     metrics, lengths = {}, {}
     with blame():
         sources = [name for item in worlds.split(",") if item.strip() for name in expand(item.strip())]
-        for source in [*(w for w in wanted if w.startswith("barn-like/")), *sources]:
+        generated = [w for w in wanted if w.startswith("barn-like/")]
+        for source in dict.fromkeys([*generated, *sources]):
             found = _find(source, experiment.protocol)
             if found is None:
                 continue

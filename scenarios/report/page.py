@@ -11,11 +11,13 @@ from scenarios.report.sheet import Sheet
 # Even a table with markup in its names cannot make the page load or run anything.
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 
+BLUE = "#0072b2"  # too dark on a dark page; the other colours are not
+
 STYLE = """
 :root { color-scheme: light dark; --ink: #1b1b1b; --soft: #5c5c5c; --paper: #fff; --line: #d9d9d9; --link: #0060a0;
-  --warn: #fdf0d5; }
+  --warn: #fdf0d5; --blue: #0072b2; }
 @media (prefers-color-scheme: dark) { :root { --ink: #e6e6e6; --soft: #a3a3a3; --paper: #15171a; --line: #3a3d41;
-  --link: #7cc0f0; --warn: #3b2f14; } }
+  --link: #7cc0f0; --warn: #3b2f14; --blue: #3d9fe0; } }
 * { box-sizing: border-box; }
 html { -webkit-text-size-adjust: 100%; }
 body { margin: 0 auto; max-width: 76rem; padding: 1.25rem 1rem 4rem; background: var(--paper); color: var(--ink);
@@ -39,13 +41,14 @@ th, td { padding: 0.28rem 0.6rem; text-align: left; font-weight: normal; white-s
   border-bottom: 1px solid var(--line); }
 thead th { border-bottom: 1.5px solid var(--soft); color: var(--soft); vertical-align: bottom; white-space: normal; }
 tbody th { font-weight: 600; white-space: normal; min-width: 4.6rem; }
+#glance tbody th { min-width: 9rem; } #glance td { white-space: normal; }
 .n { text-align: right; }
 .heat td, .heat thead th.n { text-align: center; min-width: 2.6rem; }
 .heat th, .heat td { padding: 0.3rem 0.35rem; }
 .side { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 27rem), 1fr)); gap: 0 2rem; }
 .panels { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 20rem), 1fr)); gap: 1rem 1.5rem;
   max-width: 76rem; }
-.panels svg { display: block; width: 100%; height: auto; max-width: 34rem; }
+.panels svg { display: block; width: 100%; height: auto; max-width: 30rem; }
 .wide .panels { grid-template-columns: minmax(0, 1fr); }
 .wide .panels svg { max-width: 54rem; }
 svg text { font-family: inherit !important; }
@@ -53,7 +56,7 @@ svg text { font-family: inherit !important; }
   th, td { padding: 0.25rem 0.4rem; } .heat th, .heat td { padding: 0.3rem 0.15rem; }
   .heat td, .heat thead th.n { min-width: 0; font-size: 0.75rem; } }
 @media print { :root { color-scheme: light; --ink: #000; --soft: #444; --paper: #fff; --line: #bbb; --link: #000;
-  --warn: #eee; } body { max-width: none; font-size: 10pt; padding: 0; } nav { display: none; }
+  --warn: #eee; --blue: #0072b2; } body { max-width: none; font-size: 10pt; padding: 0; } nav { display: none; }
   table { font-size: 8pt; }
   figure, tr { break-inside: avoid; } h2 { break-after: avoid; } th, td { padding: 0.15rem 0.35rem; }
   .scroll { overflow: visible; } * { print-color-adjust: exact; -webkit-print-color-adjust: exact; } }
@@ -90,7 +93,11 @@ def _block(block: Block) -> str:
         return block.html()
     if isinstance(block, Row):
         return f'<div class="side">{"".join(sheet.html() for sheet in block.sheets)}</div>'
-    panels = "".join(f"<div>{panel.svg}</div>" for panel in block.panels).replace(INK, "currentColor")
+    panels = (
+        "".join(f"<div>{panel.svg}</div>" for panel in block.panels)
+        .replace(INK, "currentColor")
+        .replace(BLUE, "var(--blue)")
+    )
     kind = "picture wide" if block.wide else "picture"
     return (
         f'<figure class="{kind}" id="picture-{escape(block.name)}"><div class="panels">{panels}</div>'

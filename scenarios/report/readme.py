@@ -71,7 +71,7 @@ def _cells(table: str) -> list[list[str]]:
 
 def _label(row: list[str]) -> str:
     """What the row is about: the words before its first number."""
-    words = []
+    words: list[str] = []
     for cell in row:
         if words and (re.match(r"[\d<–+-]", cell) or not cell):
             break

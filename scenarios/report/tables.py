@@ -252,9 +252,10 @@ def glance_sheet(facts: Facts, significance: Mapping[str, Significance]) -> Shee
         for row, column in CLAIMS if found else ():
             entry = found.entry(row, column) if found else None
             if entry:
-                what = f"{row} significantly worse than {column} [% of worlds]"
+                what = f"{row} worse than {column} [% of worlds]"
                 rows.append((what, f"{experiment.key}, {entry.worlds} worlds", entry.worse, TABLE_IV[row, column]))
     return Sheet("glance", "What the paper's claims rest on", columns, tuple(rows))
 
 
+# Entries of table IV: what learning gains, what it costs, what the confidence and the demonstrations are worth
 CLAIMS = ((PLAIN, "A+B+c"), ("A+B+c", PLAIN), ("A+c", PLAIN), ("A", "A+c"), ("A+B+c", "A+B+D+c"))

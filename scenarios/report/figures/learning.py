@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from matplotlib.ticker import NullFormatter
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from scenarios.report.figures.style import context_colours, drawing, label_ends, method_style, panel
 from scenarios.report.picture import Panel, Picture
@@ -41,6 +41,7 @@ def _lines(name: str, curves: Curves, colours: Mapping[str, str], x: str, y: str
             ends.append((key, float(xy[-1, 0]), float(xy[-1, 1]), colours[key]))
         if all(value > 0.0 for points in curves.values() for _, value in points):
             axes.set_yscale("log")
+            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axes.yaxis.set_major_formatter("{x:g}")
             axes.yaxis.set_minor_formatter(NullFormatter())
         axes.set(xlabel=x, ylabel=y)

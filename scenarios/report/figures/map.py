@@ -24,12 +24,12 @@ def map_panel(world: World, trail: Trail) -> Panel:
     size = np.ptp(np.concatenate([_extent(world), trail.points]), axis=0) + 1.0
     labels = sorted(set(trail.contexts), key=lambda name: (name != "default", name))
     colours = context_colours(labels)
-    with drawing(WIDTH, float(np.clip(WIDTH * size[1] / size[0], 1.5, 6.0)) + 0.75) as (figure, axes):
-        axes.add_collection(PatchCollection(_patches(world), facecolor=INK, edgecolor="none", alpha=0.35))
+    with drawing(WIDTH, float(np.clip((WIDTH - 0.6) * size[1] / size[0], 1.2, 6.0)) + 0.8) as (figure, axes):
+        axes.add_collection(PatchCollection(_patches(world), facecolor=INK, edgecolor=INK, linewidth=0.6, alpha=0.4))
         points = trail.points
-        lines = np.stack([points[:-1], points[1:]], axis=1)
+        lines: Any = np.stack([points[:-1], points[1:]], axis=1)
         for start, end, label in _stretches(trail):
-            style = {"colors": colours[label], "linewidths": 2.0 if label == "default" else 3.2}
+            style: dict[str, Any] = {"colors": colours[label], "linewidths": 2.0 if label == "default" else 3.2}
             axes.add_collection(LineCollection(lines[start:end], capstyle="round", **style))
         for label in labels:
             _name(axes, trail, label, colours[label])

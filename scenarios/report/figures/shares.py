@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from scenarios.report.facts import Experiment, Facts
-from scenarios.report.figures.style import OUTCOME_COLOURS, drawing, label_ends, method_style, panel
-from scenarios.report.picture import INK, Picture
+from scenarios.report.figures.style import OUTCOME_COLOURS, brief, drawing, label_ends, method_style, panel
+from scenarios.report.picture import INK, Panel, Picture
 from scenarios.statistics import OUTCOMES, outcome_shares
 from scenarios.store import CONFIDENCE_BINS
 
@@ -30,7 +30,7 @@ def outcomes_picture(facts: Facts) -> Picture:
                         number = f"{100.0 * share:.0f}"
                         axes.text(left + share / 2, height, number, ha="center", va="center", color="black", size=8)
                     left += share
-            axes.set_yticks(range(len(experiment.methods)), experiment.methods)
+            axes.set_yticks(range(len(experiment.methods)), [brief(m) for m in experiment.methods])
             axes.set_xticks(np.linspace(0, 1, 6), [f"{k}" for k in range(0, 101, 20)])
             axes.set_xlim(0, 1)
             axes.set_ylim(len(experiment.methods) - 0.5, -0.5)
@@ -47,7 +47,7 @@ def outcomes_picture(facts: Facts) -> Picture:
 
 def confidence_picture(facts: Facts, thresholds: Mapping[str, float], usual: float) -> Picture | None:
     """Histograms of the classifiers' confidence; `thresholds`: method -> eps_u, `usual` elsewhere. None without any."""
-    panels = []
+    panels: list[Panel] = []
     for experiment in facts.experiments:
         for worlds, title in _scenes(experiment):
             counts = _counts(experiment, worlds)

@@ -15,6 +15,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from scenarios.report.picture import INK, Panel
+from scenarios.statistics import Array
 
 RC = {
     "svg.fonttype": "none",  # text stays text
@@ -41,6 +42,9 @@ _TYPES = {"dwa": INK, "A": RED, "A+B": BLUE, "A+B+D": GREEN}
 _OTHERS = (PURPLE, ORANGE, SKY)
 CONTEXTS = {"default": GREY, "A1": RED, "A2": ORANGE, "B1": BLUE, "B2": SKY, "D1": GREEN, "D2": PURPLE}
 OUTCOME_COLOURS = {"reached": GREEN, "collided": RED, "timed_out": ORANGE, "aborted": PURPLE, "error": GREY}
+
+
+LONGEST = 18  # characters of a name in a drawing
 
 
 def method_style(method: str, methods: Sequence[str]) -> dict[str, Any]:
@@ -85,6 +89,11 @@ def panel(figure: Figure, name: str, title: str) -> Panel:
     return Panel(name, title, text)
 
 
+def brief(name: str) -> str:
+    """A name that leaves room for the drawing."""
+    return name if len(name) <= LONGEST else f"{name[: LONGEST - 1]}…"
+
+
 def label_ends(axes: Any, ends: Sequence[tuple[str, float, float, str]], gap: float = 0.065) -> None:
     """Names (text, x, y, colour) to the right of their lines, pushed apart where they would cover each other.
 
@@ -95,7 +104,7 @@ def label_ends(axes: Any, ends: Sequence[tuple[str, float, float, str]], gap: fl
     heights = spread([place[0] for place in places], gap)
     for height, (_, text, x, y, colour) in zip(heights, places, strict=True):
         axes.annotate(
-            text,
+            brief(text),
             (x, y),
             xytext=(1.035, height),
             textcoords="axes fraction",
@@ -119,7 +128,7 @@ def spread(heights: Sequence[float], gap: float) -> list[float]:
     return [float(value - k * gap) for k, value in enumerate(wanted)]
 
 
-def running_median(values: Sequence[float], width: int) -> np.ndarray[Any, np.dtype[np.float64]]:
+def running_median(values: Array, width: int) -> Array:
     """Of a window that shrinks at the ends and stays centred."""
     half, n = width // 2, len(values)
     reach = [min(half, k, n - 1 - k) for k in range(n)]

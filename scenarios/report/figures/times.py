@@ -7,7 +7,7 @@ import numpy as np
 from scenarios.agenda import PLAIN
 from scenarios.report.difficulty import METRICS, Difficulty, mean_times
 from scenarios.report.facts import Experiment
-from scenarios.report.figures.style import drawing, label_ends, method_style, panel, running_median
+from scenarios.report.figures.style import brief, drawing, label_ends, method_style, panel, running_median
 from scenarios.report.paper import COURSES
 from scenarios.report.picture import INK, Picture
 from scenarios.statistics import mean
@@ -67,7 +67,7 @@ def courses_picture(experiment: Experiment) -> Picture:
                 if method in COURSES.get(world, {}):
                     paper = COURSES[world][method][0]
                     axes.plot(paper, height, "D", markerfacecolor="none", markeredgecolor=INK, markersize=5.5)
-            axes.set_yticks(range(len(experiment.methods)), experiment.methods)
+            axes.set_yticks(range(len(experiment.methods)), [brief(m) for m in experiment.methods])
             axes.set_ylim(len(experiment.methods) - 0.4, -0.6)
             axes.set(xlabel="traversal time [s]", title=world)
             axes.set_xlim(left=0)
