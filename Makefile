@@ -1,16 +1,60 @@
-# Two commands: `make demo` and `make test`. Each installs what it needs into .venv first.
+# Two commands: `make demo` and `make test`. Each installs what it needs into .venv first. `make experiments` redoes the
+# paper: hours, and the same command goes on where it was stopped (docs/experiments.md).
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 READY  := $(VENV)/.ready
 
-.PHONY: demo test
+# Of the experiments: where they go, what the synthetic intervener watches, which BARN worlds are swept.
+OUT     ?= out/experiments
+SEEDS   ?= 0 1 2 3
+WORLDS  ?= barn-like
+METHODS := dwa,A,A+c,A+B,A+B+c,A+B+D,A+B+D+c
+
+.PHONY: demo test experiments estimate
 
 demo: $(READY)
 	$(BIN)/appli demo --out out/demo
 
 test: $(READY)
 	$(BIN)/python -m pytest
+
+# --- experiments ---
+
+SESSIONS := $(SEEDS:%=$(OUT)/sessions/%)
+LEARNED  := $(OUT)/policies/.learned
+COMMA    := ,
+NOTHING  :=
+SPACE    := $(NOTHING) $(NOTHING)
+FILES    := $(sort $(wildcard $(WORLDS)/*.world))
+SWEPT    := $(if $(FILES),$(subst $(SPACE),$(COMMA),$(FILES)),$(WORLDS))
+SWEEP    := $(BIN)/appli sweep --methods $(METHODS) --policies $(OUT)/policies --seed 0
+FAILED   := || test $$? -eq 1  # some trials failed: the report says which, the same command tries them again
+
+experiments: $(LEARNED) | estimate
+	$(SWEEP) --out $(OUT)/courses.sqlite --worlds training,unseen --runs 20 $(FAILED)
+	$(SWEEP) --out $(OUT)/barn.sqlite --worlds '$(SWEPT)' --runs 12 $(FAILED)
+	$(BIN)/appli report $(OUT)/courses.sqlite,$(OUT)/barn.sqlite --pick newest --policies $(OUT)/policies \
+	    --worlds '$(SWEPT)' --out $(OUT)/report
+
+estimate: $(READY)
+	@$(BIN)/python -m scenarios.experiments $(OUT) '$(SWEPT)' '$(SEEDS)'
+
+# A session is made beside the others and moved to them when it is complete.
+$(SESSIONS): | estimate
+	rm -rf $@.part
+	$(BIN)/appli collect training --seed $(@F) --out $@.part || test $$? -eq 1
+	mkdir -p $(OUT)/interventions $(@D)
+	rm -f $(OUT)/interventions/*-seed$(@F)-*.npz
+	find $@.part -name '*.npz' -exec mv {} $(OUT)/interventions/ ';'
+	rm -rf $@.part
+	touch $@
+
+$(LEARNED): $(SESSIONS) | estimate
+	$(BIN)/appli train $(OUT)/interventions --all-methods --seed 0 --out $(OUT)/policies
+	touch $@
+
+# --- installation ---
 
 $(READY): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit("appli-twin needs Python 3.11 or newer; try: make PYTHON=python3.11 $(MAKECMDGOALS)" if sys.version_info < (3, 11) else 0)'
