@@ -7,7 +7,7 @@ READY  := $(VENV)/.ready
 
 # Of the experiments: where they go, what the synthetic intervener watches, which BARN worlds are swept.
 OUT     ?= out/experiments
-SEEDS   ?= 0 1 2 3
+SEEDS   ?= 0 1 2 3 4 5 6 7
 WORLDS  ?= barn-like
 METHODS := dwa,A,A+c,A+B,A+B+c,A+B+D,A+B+D+c
 
@@ -43,7 +43,7 @@ estimate: $(READY)
 # A session is made beside the others and moved to them when it is complete.
 $(SESSIONS): | estimate
 	rm -rf $@.part
-	$(BIN)/appli collect training --seed $(@F) --out $@.part || test $$? -eq 1
+	$(BIN)/appli collect training --seed $(@F) --sessions 1 --out $@.part || test $$? -eq 1
 	mkdir -p $(OUT)/interventions $(@D)
 	rm -f $(OUT)/interventions/*-seed$(@F)-*.npz
 	find $@.part -name '*.npz' -exec mv {} $(OUT)/interventions/ ';'

@@ -44,10 +44,10 @@ class FitSettings:
     population: int = 12  # (12)
     start: Start = "middle"  # of the first search (the middle)
     sigma: float = 0.2  # [cube sides] first step size (2 of 10)
-    restarts: int = 1  # further searches from random points (none)
+    restarts: int = 3  # further searches from random points (none); with one, some seeds end in a poor local optimum
     last_sigma: float = 0.05  # [cube sides] first step size of the last search, from the best so far (there is none)
-    max_steps: int = 200  # search on so many steps, evenly spread; neighbours are much alike (all)
-    max_evaluations: int = 2000  # of the sum, by all searches together (12 x 800)
+    max_steps: int = 300  # search on so many steps, evenly spread; neighbours are much alike (all)
+    max_evaluations: int = 3000  # of the sum, by all searches together (12 x 800)
     patience: int = 15  # a search ends after so many generations without progress (tolfun 1e-11)
     min_progress: float = 1e-3  # as a share of the default's loss; less in one generation is no progress
     seed: int = 0

@@ -66,6 +66,7 @@ def collect(
     out: Path,
     protocol: Protocol = "appli",
     seed: int = 0,
+    sessions: int = 4,
     rewind: bool = True,
     record: bool = False,
     bag: Annotated[BagOptions, OmitArgPrefixes] = BagOptions(),  # noqa: B008 (tyro reads the default; it is frozen)
@@ -78,7 +79,9 @@ def collect(
         world: As for `appli run`; with --bag only the name that the interventions get.
         out: Folder for the interventions, one .npz each.
         protocol: Start, goal, tolerance and time limit of BARN worlds.
-        seed: Root of all noise.
+        seed: Root of all noise, of the first session.
+        sessions: Drives that are watched, with seeds from `seed` on. Each shows every place once; the context
+            classifier needs several.
         rewind: --no-rewind takes over where the robot failed and brings it to a good state first; only what follows
             is learnt from, and type D is left out.
         record: Write a recording of each demonstration beside it.
@@ -93,7 +96,7 @@ def collect(
         raise UserError(f"collect needs a WORLD or --bag FILE; try: appli collect training --out {out}")
     from scenarios.collect import collect_command
 
-    return collect_command(world, out, protocol, seed, rewind, record)
+    return collect_command(world, out, protocol, seed, sessions, rewind, record)
 
 
 def teleop(

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import functools
+import re
 import sys
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -14,10 +16,11 @@ from rich.console import Console
 from rich.table import Column, Table
 
 from learning.intervener import Demonstration, Intervener, Plea
-from learning.interventions import Intervention, Metadata, Step, save_intervention
+from learning.interventions import Intervention, Kind, Metadata, Step, save_intervention
 from learning.route import UnreachableError
 from scenarios.errors import UserError, blame
 from scenarios.run import compile_kernels
+from scenarios.teaching import highest_numbers
 from scenarios.trials import TrialSpec, make_driver, make_simulation
 from scenarios.worlds import load_world
 from twin.geometry import distance
@@ -42,11 +45,40 @@ class Collected:
     ticks: tuple[Tick, ...]  # the demonstration
 
 
+class Labels:
+    """Which context an intervention teaches. A named place has the same label in every session.
+
+    A place that is named after a context of the intervention's type has that name; any other place has the next number
+    of the type. Where places have no names, every intervention is a context of its own, numbered after those so far.
+    """
+
+    def __init__(self, world: World, so_far: Mapping[Kind, int] | None = None) -> None:
+        self._places = list(dict.fromkeys(segment.name for segment in world.segments))
+        self._highest: Counter[Kind] = Counter(so_far or {})
+
+    def of(self, kind: Kind, place: str) -> str:
+        """The label of an intervention of this type at this place ("" = nowhere in particular)."""
+        taken = [name for name in self._places if re.fullmatch(rf"{kind}[1-9][0-9]{{0,2}}", name)]
+        if place in taken:
+            return place
+        first = max((int(name[1:]) for name in taken), default=0) + 1
+        others = [name for name in self._places if name not in taken]
+        if place in others:
+            return f"{kind}{first + others.index(place)}"
+        self._highest[kind] = max(self._highest[kind] + 1, first + len(others))
+        return f"{kind}{self._highest[kind]}"
+
+
 class Session:
     """One drive with interventions."""
 
     def __init__(
-        self, spec: TrialSpec, world: World, say: Callable[[str], None] = lambda _: None, rewinding: bool = True
+        self,
+        spec: TrialSpec,
+        world: World,
+        say: Callable[[str], None] = lambda _: None,
+        rewinding: bool = True,
+        labels: Labels | None = None,
     ) -> None:
         """`say` hears what is going on, in words. Without rewinding the person takes over where the robot is."""
         self._rewinding = rewinding
@@ -55,7 +87,7 @@ class Session:
         self._intervener = Intervener(world, rewinding)
         self._rng = np.random.default_rng([spec.seed, world.index, spec.run, 1])  # the human's hand
         self._ticks: dict[int, Tick] = {}
-        self._counts = {"A": 0, "B": 0, "D": 0}
+        self._labels = labels or Labels(world)
         self._helped = 0
 
     def run(self, keep: Callable[[Collected], None]) -> None:
@@ -97,8 +129,7 @@ class Session:
             with self._tape.excursion(start):
                 ticks, good = self._drive_by_hand(plea, start)
             self._intervener.settle(plea)
-        self._counts[plea.kind] += new
-        label = f"{plea.kind}{self._counts[plea.kind]}"
+        label = self._labels.of(plea.kind, plea.place) if new else f"{plea.kind}1"
         metadata = Metadata(
             world=self._spec.world,
             seed=self._spec.seed,
@@ -146,16 +177,20 @@ def _where(plea: Plea, pose: Pose2) -> str:
     return plea.place or f"({pose.x:.1f}, {pose.y:.1f})"
 
 
-def collect_command(world_name: str, out: Path, protocol: str, seed: int, rewinding: bool, record: bool) -> int:
-    """Run a session, write its interventions, print a table. Exit code 1 when there was nothing to intervene in."""
+def collect_command(
+    world_name: str, out: Path, protocol: str, seed: int, sessions: int, rewinding: bool, record: bool
+) -> int:
+    """Run the sessions, write their interventions, print a table. Exit code 1 when there was nothing to intervene in."""
     if seed < 0:
         raise UserError(f"--seed must be 0 or more, not {seed}")
+    if sessions < 1:
+        raise UserError(f"--sessions must be 1 or more, not {sessions}")
     with blame():
         world = load_world(world_name, protocol)
     with blame(f"cannot use the folder {out}"):
         out.mkdir(parents=True, exist_ok=True)
     compile_kernels()
-    table = Table(Column("file", no_wrap=True), "label", "place", "trouble", "rewound [s]", "steps", "closest [m]")
+    table = Table(Column("file", no_wrap=True), "label", "rewound [s]", "steps", "closest [m]", "trouble")
     count = 0
 
     def keep(collected: Collected) -> None:
@@ -169,19 +204,19 @@ def collect_command(world_name: str, out: Path, protocol: str, seed: int, rewind
         table.add_row(
             path.name,
             made.label,
-            collected.place,
-            made.metadata.trigger,
             f"{made.metadata.rewound:.1f}",
             str(len(made.steps)),
             f"{collected.min_clearance:.2f}",
+            made.metadata.trigger,
         )
 
-    spec = TrialSpec(world_name, protocol, seed=seed)
-    try:
-        say = functools.partial(print, "appli collect:", file=sys.stderr, flush=True)
-        Session(spec, world, say, rewinding).run(keep)
-    except UnreachableError as error:
-        raise UserError(f"{world.name}: {error}; a human could not show a way either") from error
+    labels = Labels(world, highest_numbers(out))
+    for number in range(seed, seed + sessions):
+        say = functools.partial(print, f"appli collect: session {number}:", file=sys.stderr, flush=True)
+        try:
+            Session(TrialSpec(world_name, protocol, seed=number), world, say, rewinding, labels).run(keep)
+        except UnreachableError as error:
+            raise UserError(f"{world.name}: {error}; a human could not show a way either") from error
     if count == 0:
         print(f"{world.name}: nothing to intervene in")
         return 1
