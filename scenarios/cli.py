@@ -236,16 +236,19 @@ def worlds(json: bool = False) -> int:
     return worlds_command(json)
 
 
-def demo(out: Path = Path("out/demo"), seed: int = 0) -> int:
-    """Drive the training course and a BARN-like world, record both, and say what to open next.
+def demo(out: Path = Path("out/demo"), seed: int = 0, sessions: int = 4) -> int:
+    """The paper in miniature: collect interventions, learn from them, drive with and without, record it all.
+
+    Takes some minutes. What an earlier demo left in the folder is used again.
 
     Args:
-        out: Folder for the recordings.
+        out: Folder for interventions, policy and recordings.
         seed: Root of all noise.
+        sessions: How many drives the intervener watches.
     """
     from scenarios.demo import demo_command
 
-    return demo_command(out, seed)
+    return demo_command(out, seed, sessions)
 
 
 def bench(json: bool = False, repeats: int = 2) -> int:

@@ -1,4 +1,4 @@
-"""`appli demo`: the default planner through the training course and one generated BARN-like world."""
+"""`appli demo`: the paper in miniature. Collect interventions, learn from them, and drive with and without."""
 
 from __future__ import annotations
 
@@ -9,44 +9,71 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Column, Table
 
+from scenarios.collect import collect_command
 from scenarios.errors import blame
 from scenarios.run import compile_kernels, recording_metadata
-from scenarios.trials import TrialSpec, run_trial
+from scenarios.training import train_command
+from scenarios.trials import TrialResult, TrialSpec, run_trial
 from scenarios.worlds import load_world
 from twin.recording import Recorder
+from twin.simulation import TICK
 
-WORLDS = ("training", "barn-like/150")
+WORLDS = ("training", "barn-like/60", "barn-like/150", "barn-like/240")
+METHOD = "A+B+c"
 
 
-def demo_command(out: Path, seed: int) -> int:
-    """Run, record, print a table and what to open next. Exit code 0 once both drives have been recorded."""
+def demo_command(out: Path, seed: int, sessions: int) -> int:
+    """Collect, train, drive and record, print a table and what to open next. Exit code 0 once all is done.
+
+    What an earlier demo left in the folder is used again: interventions, and the policy learned from them.
+    """
     with blame(f"cannot use the folder {out}"):
         out.mkdir(parents=True, exist_ok=True)
     compile_kernels()
-    world_column = Column("world", no_wrap=True)
-    table = Table(world_column, "outcome", "time [s]", "driven [m]", "recoveries", "closest [m]", "x real time")
-    recordings = []
-    for name in WORLDS:
-        print(f"appli demo: driving {name} ...", file=sys.stderr, flush=True)
-        spec, world = TrialSpec(name, seed=seed), load_world(name)
-        path = out / f"{name.replace('/', '-')}.rrd"
-        began = time.perf_counter()
-        metadata = recording_metadata(spec, world)
-        with blame(), Recorder(path, world, metadata) as recorder:
-            result = run_trial(spec, world, recorder.add, explain=True)
-        wall = time.perf_counter() - began
-        table.add_row(
-            world.name,
-            result.outcome.value,
-            f"{result.time:.1f}",
-            f"{result.distance:.1f}",
-            str(result.recoveries),
-            f"{result.min_clearance:.2f}",
-            f"{result.ticks * 0.05 / wall:.0f}",
-        )
-        recordings.append(path)
+    interventions, policy = out / "interventions", out / f"{METHOD}.safetensors"
+    if policy.exists():
+        _say(f"using {policy}")
+    else:
+        if any(interventions.glob("*.npz")):
+            _say(f"using {interventions}")
+        else:
+            _say(f"1. {sessions} sessions of a scripted intervener on the training course")
+            collect_command("training", interventions, "appli", seed, sessions, rewinding=True, record=False)
+        _say("2. learning planner parameters and the context classifier from types A and B")
+        train_command(interventions, policy, "A,B", seed, confidence=True, all_methods=False)
+    _say("3. driving with the default parameters and with what was learned")
+    table = Table(Column("world", no_wrap=True), "method", "outcome", "time [s]", "closest [m]", "contexts")
+    for world in WORLDS:
+        for method, driver in (("dwa", "dwa"), (METHOD, str(policy))):
+            result = _drive(TrialSpec(world, driver=driver, seed=seed), out / _file_name(world, method))
+            table.add_row(
+                world,
+                method,
+                result.outcome.value,
+                f"{result.time:.1f}",
+                f"{result.min_clearance:.2f}",
+                ", ".join(f"{label} {share:.0%}" for label, share in result.contexts.items()),
+            )
+        table.add_section()
     Console().print(table)
-    print("Open a recording:   " + "\n                    ".join(f".venv/bin/rerun {path}" for path in recordings))
-    print("Then try:           .venv/bin/appli worlds")
-    print("                    .venv/bin/appli run unseen --record out/unseen.rrd")
+    print(f"Look at it:   .venv/bin/rerun {out / _file_name('training', METHOD)}")
+    print(f"Go on:        .venv/bin/appli run unseen --driver {policy} --record {out / 'unseen.rrd'}")
     return 0
+
+
+def _drive(spec: TrialSpec, recording: Path) -> TrialResult:
+    world = load_world(spec.world)
+    began = time.perf_counter()
+    with blame(), Recorder(recording, world, recording_metadata(spec, world)) as recorder:
+        result = run_trial(spec, world, recorder.add, explain=True)
+    speed = result.ticks * TICK / (time.perf_counter() - began)
+    _say(f"   {spec.world} with {Path(spec.driver).stem}: {result.outcome.value}, {speed:.0f} x real time")
+    return result
+
+
+def _file_name(world: str, method: str) -> str:
+    return f"{world.replace('/', '-')}-{method}.rrd"
+
+
+def _say(text: str) -> None:
+    print(f"appli demo: {text}", file=sys.stderr, flush=True)
