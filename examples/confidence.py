@@ -1,0 +1,49 @@
+"""Where is a policy's classifier sure of itself? `python examples/confidence.py POLICY [SEEDS]`
+
+Drives training and unseen with the policy and sorts the scans by the place they were taken in: in a place named after
+one of the policy's contexts it should be right and confident, elsewhere it should not be confident.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+
+from learning.intervener import segment_at
+from learning.policy_file import load_policy
+from scenarios.trials import TrialSpec, run_trial
+from scenarios.worlds import load_world
+from twin.records import Tick
+
+
+def main(path: str, seeds: int) -> None:
+    """Print a line per place."""
+    policy = load_policy(Path(path))
+    assert policy.classifier is not None
+    judge = policy.classifier.judge
+    print("world      place   steps  confidence  confident  the confident ones are judged as")
+    for name in ("training", "unseen"):
+        world = load_world(name)
+        seen: dict[str, list[tuple[str, float]]] = defaultdict(list)
+
+        def watch(tick: Tick, world=world, seen=seen) -> None:  # type: ignore[no-untyped-def]
+            place = segment_at(world, tick.true_pose)
+            answer = judge(tick.observation.scan.ranges)
+            if place is not None and answer is not None:
+                seen[place.name].append((answer.label, answer.confidence))
+
+        for seed in range(seeds):
+            run_trial(TrialSpec(name, driver=path, seed=seed), world, watch)
+        for place, answers in sorted(seen.items()):
+            certain = np.array([u for _, u in answers])
+            sure = [label for label, u in answers if u >= policy.eps_u]
+            shares = ", ".join(f"{label} {sure.count(label) / len(sure):.2f}" for label in sorted(set(sure)))
+            share = len(sure) / len(answers)
+            print(f"{name:10s} {place:6s} {len(answers):6d} {certain.mean():11.2f} {share:10.2f}  {shares}")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], int(sys.argv[2]) if len(sys.argv) > 2 else 3)
