@@ -12,14 +12,16 @@ from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.table import Column, Table
+from rich.table import Column
+from rich.text import Text
 
 from learning.intervener import Demonstration, Intervener, Plea
 from learning.interventions import Intervention, Kind, Metadata, Step, save_intervention
 from learning.route import UnreachableError
 from scenarios.errors import UserError, blame
+from scenarios.folders import make_folder
 from scenarios.run import compile_kernels
+from scenarios.tables import plain_table, print_table
 from scenarios.teaching import highest_numbers
 from scenarios.trials import TrialSpec, make_driver, make_simulation
 from scenarios.worlds import load_world
@@ -180,17 +182,16 @@ def _where(plea: Plea, pose: Pose2) -> str:
 def collect_command(
     world_name: str, out: Path, protocol: str, seed: int, sessions: int, rewinding: bool, record: bool
 ) -> int:
-    """Run the sessions, write their interventions, print a table. Exit code 1 when there was nothing to intervene in."""
+    """Run the sessions, write their interventions, print a table. Exit code 1 = there was nothing to intervene in."""
     if seed < 0:
         raise UserError(f"--seed must be 0 or more, not {seed}")
     if sessions < 1:
         raise UserError(f"--sessions must be 1 or more, not {sessions}")
     with blame():
         world = load_world(world_name, protocol)
-    with blame(f"cannot use the folder {out}"):
-        out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     compile_kernels()
-    table = Table(Column("file", no_wrap=True), "label", "rewound [s]", "steps", "closest [m]", "trouble")
+    table = plain_table(Column("file", no_wrap=True), "label", "rewound [s]", "steps", "closest [m]", "trouble")
     count = 0
 
     def keep(collected: Collected) -> None:
@@ -207,7 +208,7 @@ def collect_command(
             f"{made.metadata.rewound:.1f}",
             str(len(made.steps)),
             f"{collected.min_clearance:.2f}",
-            made.metadata.trigger,
+            Text(made.metadata.trigger),
         )
 
     labels = Labels(world, highest_numbers(out))
@@ -220,7 +221,7 @@ def collect_command(
     if count == 0:
         print(f"{world.name}: nothing to intervene in")
         return 1
-    Console().print(table)
+    print_table(table)
     print(f"{count} interventions in {out}")
     return 0
 

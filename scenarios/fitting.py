@@ -10,6 +10,7 @@ import signal
 import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.queues import Queue
 from multiprocessing.synchronize import Event
 from typing import Any
@@ -32,12 +33,13 @@ def fit_contexts(
     """One fit per context, over all interventions that teach it; the same whatever the number of workers.
 
     Ctrl-C ends all searches: contexts in work keep the best so far, those not begun the default parameters, and stderr
-    says so. Raises ValueError when a context has no labelled steps.
+    says so. Raises ValueError when a context has no labelled steps, OSError when a worker dies.
     """
     taught = {
         label: [i for i in interventions if i.label == label] for label in sorted({i.label for i in interventions})
     }
     workers = max(1, min(len(taught), workers or os.cpu_count() or 1))
+    others = set(multiprocessing.active_children())
     context = multiprocessing.get_context("spawn")  # a fork would copy the threads of whatever is loaded here
     news: Queue[_News] = context.Queue()
     stop = context.Event()
@@ -46,9 +48,17 @@ def fit_contexts(
         _stopping_on_interrupt(stop),
         _Bars(settings) as bars,
     ):
-        futures = {label: pool.submit(_fit, label, group, settings) for label, group in taught.items()}
-        _watch(futures, news, bars)
-        return {label: future.result() for label, future in futures.items()}
+        try:
+            with _births_undisturbed():
+                futures = {label: pool.submit(_fit, label, group, settings) for label, group in taught.items()}
+            _watch(futures, news, bars)
+            return {label: future.result() for label, future in futures.items()}
+        except BrokenProcessPool as error:
+            raise ChildProcessError("a process of the search died; is there enough memory?") from error
+        except BaseException:  # do not wait for what nobody wants any more
+            for process in set(multiprocessing.active_children()) - others:
+                process.kill()
+            raise
 
 
 # --- in a worker -----------------------------------------------------------------------------------------------------
@@ -96,6 +106,22 @@ def _stopping_on_interrupt(stop: Event) -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
+@contextlib.contextmanager
+def _births_undisturbed() -> Iterator[None]:
+    """Ctrl-C waits meanwhile, here and, since they inherit that, in the workers: it would kill one that still imports.
+
+    The main process hears of it right afterwards.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 class _Bars:
     """What is said on stderr: bars on a terminal, else a line per context."""
 
@@ -120,9 +146,8 @@ class _Bars:
     def finish(self, label: str, result: FitResult) -> None:
         """A fit is done."""
         if result.interrupted:
-            ended = (
-                "interrupted: the default is kept" if result.evaluations < 2 else "interrupted: the best so far is kept"
-            )
+            kept = "the best so far" if result.loss < result.default_loss else "the default"
+            ended = f"interrupted: {kept} is kept"
         else:
             ended = f"{result.evaluations} evaluations, {result.seconds:.1f} s"
         line = f"appli train: {label}: loss {result.default_loss:.2f} -> {result.loss:.2f} ({ended})"

@@ -12,17 +12,19 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.table import Column, Table
+from rich.table import Column
 
 from learning.fit import FitResult, FitSettings
 from learning.interventions import Intervention, load_dataset
-from learning.labelled_scans import ScanDataset, time_blocks
+from learning.labelled_scans import ScanDataset, split, time_blocks
 from learning.policy import Context, Policy, Provenance
 from learning.policy_file import save_policy
 from scenarios.errors import UserError, blame
 from scenarios.fitting import fit_contexts
+from scenarios.folders import make_folder
 from scenarios.run import compile_kernels
-from twin.planner.params import PARAMETER_NAMES, ParameterSpace
+from scenarios.tables import plain_table, print_table
+from twin.planner.params import INTEGERS, PARAMETER_NAMES, ParameterSpace
 
 LOOSE = 0.25  # a parameter whose value may change by this share of its range at almost no cost is not determined
 RANGE = dict(zip(PARAMETER_NAMES, zip(ParameterSpace().lower, ParameterSpace().upper, strict=True), strict=True))
@@ -45,11 +47,22 @@ def train_command(folder: Path, out: Path, types: str, seed: int, confidence: bo
         raise UserError(f"--types takes A, B and D with commas between, such as A,B; not {types!r}")
     if not all_methods and out.suffix != ".safetensors":
         raise UserError(f"--out must end in .safetensors, so that it can be driven with, not {out.name!r}")
+    if seed < 0:
+        raise UserError(f"--seed must be 0 or more, not {seed}")
     with blame():
         interventions = load_dataset(folder, wanted)
-    target = out if all_methods else out.parent
-    with blame(f"cannot use the folder {target}"):
-        target.mkdir(parents=True, exist_ok=True)
+    with blame(str(folder)):
+        check_teachable(interventions)
+    if absent := sorted(set(wanted) - {i.kind for i in interventions}):
+        lacking = f"{folder} has no interventions of type {', '.join(absent)}"
+        if all_methods:
+            raise UserError(
+                f"{lacking}, which --all-methods needs; make some with: appli collect training --out {folder}"
+            )
+        print(f"appli train: {lacking}; goes on without", file=sys.stderr)
+    if not all_methods and out.is_dir():
+        raise UserError(f"{out} is a folder; give --out the name of a file")
+    make_folder(out if all_methods else out.parent)
     compile_kernels()
     with blame():
         fits = fit_contexts(interventions, FitSettings(seed=seed))
@@ -69,6 +82,20 @@ def train_command(folder: Path, out: Path, types: str, seed: int, confidence: bo
 def _methods_by_types() -> dict[str, list[str]]:
     """Methods that differ in the confidence only share their classifier."""
     return {used: [name for name, (types, _) in METHODS.items() if types == used] for used, _ in METHODS.values()}
+
+
+def check_teachable(interventions: Sequence[Intervention]) -> None:
+    """Find now, not after minutes of searching, what nothing can be learnt from. Raises ValueError."""
+    labels = {i.label for i in interventions}
+    shown = {i.label for i in interventions if i.packed.labelled.any()}
+    if bare := sorted(labels - shown):
+        raise ValueError(f"context {bare[0]} has no labelled steps to learn from")
+    if len(labels) < 2:
+        return  # no classifier
+    dataset = labelled_scans(interventions).usable()
+    if blind := sorted(labels - set(dataset.contexts)):
+        raise ValueError(f"context {blind[0]} has no scan with a return")
+    split(dataset, 0.5, np.random.default_rng(0))
 
 
 def make_policy(interventions: Sequence[Intervention], fits: dict[str, FitResult], types: str, seed: int) -> Policy:
@@ -130,20 +157,20 @@ def labelled_scans(interventions: Sequence[Intervention]) -> ScanDataset:
 
 def print_fits(fits: dict[str, FitResult]) -> None:
     """Table I: the learned parameters, how well they imitate, and how well they are determined."""
-    console = Console()
-    table = Table(Column("", no_wrap=True), *(Column(label, justify="right", no_wrap=True) for label in fits))
+    table = plain_table(Column("", no_wrap=True), *(Column(label, justify="right", no_wrap=True) for label in fits))
     for name in PARAMETER_NAMES:
-        table.add_row(name, *(_number(result.theta.as_dict()[name]) for result in fits.values()))
+        table.add_row(name, *(_number(name, result.theta.as_dict()[name]) for result in fits.values()))
     table.add_section()
     table.add_row("Eq. 1, default", *(f"{r.default_loss:.1f}" for r in fits.values()))
     table.add_row("Eq. 1, learned", *(f"{r.loss:.1f}" for r in fits.values()))
-    table.add_row("v error [m/s]", *(f"{r.rms_error[0]:.2f}" for r in fits.values()))
-    table.add_row("w error [rad/s]", *(f"{r.rms_error[1]:.2f}" for r in fits.values()))
+    table.add_row(r"v error \[m/s]", *(f"{r.rms_error[0]:.2f}" for r in fits.values()))
+    table.add_row(r"w error \[rad/s]", *(f"{r.rms_error[1]:.2f}" for r in fits.values()))
     table.add_row("steps", *(str(len(r.demonstrated)) for r in fits.values()))
-    console.print(table)
+    print_table(table)
+    console = Console()
     for label, result in fits.items():
         loose = [
-            f"{name} {_number(low)} to {_number(high)}"
+            f"{name} {_number(name, low)} to {_number(name, high)}"
             for name, (low, high) in result.flatness.items()
             if (high - low) >= LOOSE * (RANGE[name][1] - RANGE[name][0])
         ]
@@ -151,5 +178,5 @@ def print_fits(fits: dict[str, FitResult]) -> None:
             console.print(f"{label} does not determine: {', '.join(loose)}", highlight=False, soft_wrap=True)
 
 
-def _number(value: float) -> str:
-    return f"{value:.2f}" if isinstance(value, float) else str(value)
+def _number(name: str, value: float) -> str:
+    return f"{value:.0f}" if name in INTEGERS else f"{value:.2f}"

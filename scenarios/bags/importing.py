@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 
-from rich.console import Console
-from rich.table import Column, Table
+from rich.table import Column
+from rich.text import Text
 
 from learning.interventions import Intervention, Metadata, Step, save_intervention
 from learning.steps import PackedSteps, pack
@@ -22,6 +22,7 @@ from scenarios.bags.replay import PERIOD, Moment, find_robot, moments, odom_fram
 from scenarios.bags.spans import Span, default_type, marked_spans, parse_range
 from scenarios.errors import UserError, blame
 from scenarios.run import compile_kernels
+from scenarios.tables import plain_table, print_table
 from scenarios.teaching import highest_numbers
 from twin.planner.obstacle_layer import GLOBAL_MAP
 from twin.records import STOP, Observation, Pose2
@@ -70,14 +71,14 @@ def collect_bag_command(
         interventions, remarks = read_interventions(options, Source(world or options.bag.stem, seed), out)
     for remark in remarks:
         print(f"appli collect: {remark}", file=sys.stderr)
-    table = Table(Column("file", no_wrap=True), "label", "from [s]", "to [s]", "steps", "said by")
+    table = plain_table(Column("file", no_wrap=True), "label", "from [s]", "to [s]", "steps", "said by")
     for made in interventions:
         with blame(f"cannot write to {out}"):
             path = save_intervention(made, out)
         ended = made.start_time + made.duration
         said = made.metadata.trigger
-        table.add_row(path.name, made.label, f"{made.start_time:.2f}", f"{ended:.2f}", str(len(made.steps)), said)
-    Console().print(table)
+        table.add_row(path.name, made.label, f"{made.start_time:.2f}", f"{ended:.2f}", str(len(made.steps)), Text(said))
+    print_table(table)
     print(f"{len(interventions)} intervention{'s' * (len(interventions) != 1)} in {out}")
     return 0
 

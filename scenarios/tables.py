@@ -1,0 +1,25 @@
+"""Tables on stdout whose numbers and units survive narrow terminals."""
+
+from __future__ import annotations
+
+from rich.console import Console
+from rich.measure import Measurement
+from rich.table import Column, Table
+from rich.text import Text
+
+
+def plain_table(*columns: str | Column) -> Table:
+    """An empty table in which only the last column wraps. Headers keep their units: rich takes "[s]" for a style."""
+    table = Table(*columns)
+    for column in table.columns:
+        column.header = Text(str(column.header).replace(" [", "\n["))
+        column.no_wrap = column.no_wrap or column is not table.columns[-1]
+    return table
+
+
+def print_table(table: Table) -> None:
+    """Print it, in too narrow a terminal wider than that: lines break there, but no number loses its end."""
+    console = Console()
+    everything = console.options.update(max_width=1000)
+    console.width = max(console.width, Measurement.get(console, everything, table).minimum)
+    console.print(table)
