@@ -6,11 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from learning.interventions import load_dataset, save_intervention
+from learning.interventions import Intervention, Kind, load_dataset, save_intervention
 from scenarios.cli import main
-from scenarios.collect import Collected, Session
+from scenarios.collect import Collected, Labels, Session
+from scenarios.teaching import highest_numbers
 from scenarios.trials import TrialSpec
 from scenarios.worlds import load_world
+from tests.learning.observations import METADATA, random_steps
 
 
 def collect(world_name: str, seed: int) -> list[Collected]:
@@ -18,6 +20,56 @@ def collect(world_name: str, seed: int) -> list[Collected]:
     spec = TrialSpec(world_name, seed=seed)
     Session(spec, load_world(world_name)).run(kept.append)
     return kept
+
+
+# ---- labels ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_named_place_has_the_same_label_in_every_session_and_process() -> None:
+    world = load_world("training")
+    # the order in which things go wrong, and what is in the folder, must not matter
+    for so_far in (None, {"A": 5, "B": 2, "D": 9}):
+        labels = Labels(world, so_far)  # type: ignore[arg-type]
+        for _ in range(3):
+            for place in ("D2", "A2", "B1", "A1", "D1", "B2"):
+                assert labels.of(place[0], place) == place  # type: ignore[arg-type]
+
+
+def test_trouble_of_another_type_at_a_named_place_is_a_context_of_its_own_with_a_stable_label() -> None:
+    world = load_world("training")
+    kinds: tuple[Kind, ...] = ("A", "B", "D")
+    places = sorted({segment.name for segment in world.segments})
+    assert places == ["A1", "A2", "B1", "B2", "D1", "D2"]
+    forth, back = Labels(world), Labels(world, {"A": 7})
+    first = {(kind, place): forth.of(kind, place) for kind in kinds for place in places}
+    second = {(kind, place): back.of(kind, place) for place in reversed(places) for kind in reversed(kinds)}
+    assert first == second
+    assert len(set(first.values())) == len(first), "one label, one context"
+    assert first["A", "B2"] not in {"A1", "A2"}
+    assert all(label[0] == kind for (kind, _), label in first.items())
+
+
+def test_trouble_between_the_places_gets_numbers_of_its_own() -> None:
+    world = load_world("training")
+    labels = Labels(world)
+    placed = {labels.of("A", segment.name) for segment in world.segments}
+    between = [labels.of("A", "") for _ in range(3)]
+    assert len(placed | set(between)) == len(placed) + 3
+    assert labels.of("A", "A1") == "A1"
+    assert not set(between) & {Labels(world, {"A": int(between[-1][1:])}).of("A", "")}
+
+
+def test_without_places_numbers_go_on_after_the_files_that_are_there(tmp_path: Path) -> None:
+    world = load_world("barn-like/7")
+    assert not world.segments
+    assert [Labels(world).of(kind, "") for kind in ("A", "B", "D")] == ["A1", "B1", "D1"]  # type: ignore[arg-type]
+    for label in ("A1", "A3", "D2"):
+        save_intervention(Intervention(label[0], label, random_steps(0, 2, 16), METADATA), tmp_path)  # type: ignore[arg-type]
+    labels = Labels(world, highest_numbers(tmp_path))
+    assert [labels.of("A", ""), labels.of("A", ""), labels.of("B", ""), labels.of("D", "")] == ["A4", "A5", "B1", "D3"]
+
+
+# ---- sessions -------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
@@ -78,3 +130,12 @@ def test_a_closed_world_is_refused_with_one_line(tmp_path: Path, capsys: pytest.
         main(["collect", str(course), "--out", str(tmp_path / "out")])
     assert stop.value.code == 2
     assert "a human could not show a way either" in capsys.readouterr().err
+
+
+def test_a_folder_that_cannot_be_written_is_told_before_the_drive(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["collect", "open", "--out", "/proc"])
+    assert stop.value.code == 2
+    err = capsys.readouterr().err
+    assert err.startswith("appli: cannot use the folder /proc: ")
+    assert len(err.splitlines()) == 1
