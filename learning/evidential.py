@@ -167,7 +167,7 @@ def train(
     rng = np.random.default_rng(options.seed)
     taught, held = split(dataset, options.validation_share, rng)
     ood_scans = options.ood_scans if options.ood_weight > 0.0 else 0
-    strange = unfamiliar_scans(taught, ood_scans, background, rng)
+    strange = unfamiliar_scans(taught, ood_scans, background, options.augmentation, rng)
     aside = round(OOD_HELD_OUT * len(strange))
     with _one_thread():
         descent = _Descent(taught, held, strange[aside:], strange[:aside], contexts, options, rng)
@@ -175,7 +175,7 @@ def train(
         examined = deployed = EvidentialClassifier.from_weights(contexts, descent.best)
         best_step = descent.best_step
         if options.refit:
-            everywhere = unfamiliar_scans(dataset, ood_scans, background, rng)
+            everywhere = unfamiliar_scans(dataset, ood_scans, background, options.augmentation, rng)
             descent = _Descent(dataset, None, everywhere, strange[:0], contexts, options, rng)
             rounds += tuple(descent.run(best_step, progress))
             deployed = EvidentialClassifier.from_weights(contexts, descent.best)

@@ -7,47 +7,51 @@ generative evidential networks, Sensoy et al. 2020). Two kinds, in equal parts:
 * composed places: corridors, rooms, doorways, obstacle fields of random measures, scanned in closed form;
 * distorted training scans: pieces of different contexts spliced, ranges scaled, directions turned.
 
-What comes out closer to the training scans than those lie to each other is in the known contexts, and is dropped.
+What comes out as close to a context's scans as augmentation moves those is in that context, and is dropped: a context
+reaches as far as augmentation does.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.augment import BEARINGS, mirror
-from learning.classifier import BEAMS, Floats, preprocess
+from learning.augment import BEARINGS, Augmentation, augmented, mirror
+from learning.classifier import BEAMS, CROP, Floats, preprocess
 from learning.labelled_scans import Integers, ScanDataset
 from twin.compiled import compiled
 from twin.records import Array
 
 MAX_SCAN_RANGE = 30.0  # [m] of the lidar; beyond is no return
 FREE_RADIUS = 0.25  # [m] kept clear round the sensor: the robot stands there
-FAMILIAR_QUANTILE = 0.5  # of the distances between training scans of different blocks: inside is familiar
-MOST_COMPARED = 1500  # training scans from which that quantile is taken; bounds the memory
+FAMILIAR_QUANTILE = 0.9  # of the distances by which augmentation moves a context's scans: inside is familiar
+MOST_MOVED = 400  # scans of a context from which that quantile is taken
 
 
-def unfamiliar_scans(dataset: ScanDataset, count: int, background: Array | None, rng: np.random.Generator) -> Array:
+def unfamiliar_scans(
+    dataset: ScanDataset, count: int, background: Array | None, how: Augmentation, rng: np.random.Generator
+) -> Array:
     """Scans (m, 720) for the uniform target, in random order: about `count` made-up ones, as many of the background.
 
     background: (k, 720) scans of real places where nobody intervened; together they count as much as all made-up ones.
     """
     if count <= 0:
         return np.empty((0, BEAMS))
-    strange = made_up_scans(dataset.scans, dataset.indices(dataset.contexts), dataset.blocks, count, rng)
+    strange = made_up_scans(dataset.scans, dataset.indices(dataset.contexts), count, how, rng)
     if background is not None and len(real := background[np.isfinite(background).any(axis=1)]):
         strange = np.concatenate([strange, real[rng.integers(0, len(real), len(strange))]])
     return rng.permutation(strange)
 
 
-def made_up_scans(scans: Array, labels: Integers, blocks: Integers, count: int, rng: np.random.Generator) -> Array:
-    """About `count` unfamiliar scans (m, 720) for training scans (n, 720) with context indices and block ids (n,)."""
+def made_up_scans(scans: Array, labels: Integers, count: int, how: Augmentation, rng: np.random.Generator) -> Array:
+    """About `count` unfamiliar scans (m, 720) for training scans (n, 720) with context indices (n,)."""
     composed = np.array([scan_of(*compose_place(rng)) for _ in range(count - count // 2)]).reshape(-1, BEAMS)
     distorted = np.array([distort(scans, labels, rng) for _ in range(count // 2)]).reshape(-1, BEAMS)
     made = np.concatenate([composed, distorted])
-    return made[~familiar(made, scans, labels, blocks)]
+    return made[~familiar(made, scans, labels, how, rng)]
 
 
 def scan_of(segments: Array, circles: Array) -> Array:
@@ -171,22 +175,25 @@ def distort(scans: Array, labels: Integers, rng: np.random.Generator) -> Array:
     return np.roll(scans[i], rng.integers(BEAMS // 6, BEAMS - BEAMS // 6))
 
 
-def familiar(candidates: Array, scans: Array, labels: Integers, blocks: Integers) -> NDArray[np.bool_]:
-    """(m,) whether a scan is as close to a training scan, or its mirror image, as those are to each other.
+def familiar(
+    candidates: Array, scans: Array, labels: Integers, how: Augmentation, rng: np.random.Generator
+) -> NDArray[np.bool_]:
+    """(m,) whether a scan, or its mirror image, is as close to a context's scans as augmentation moves those.
 
-    Close: root mean square of the difference of the network's inputs. The radius is a quantile, over the training
-    scans, of the distance to the nearest scan of the same context in another block.
+    Close: root mean square of the difference of the network's inputs. The radius of a context is a quantile of the
+    distances between its scans and themselves after augmentation.
     """
-    known = np.array([preprocess(scan) for scan in scans])
-    some = slice(None, None, -(-len(known) // MOST_COMPARED))
-    apart = _distances(known[some], known)
-    apart[(labels[some, None] != labels[None, :]) | (blocks[some, None] == blocks[None, :])] = np.inf
-    nearest = apart.min(axis=1)
-    finite = nearest[np.isfinite(nearest)]
-    radius = float(np.quantile(finite, FAMILIAR_QUANTILE)) if len(finite) else 0.0
-    made = np.array([preprocess(scan) for scan in candidates])
-    closest = np.minimum(_distances(made, known).min(axis=1), _distances(mirror(made), known).min(axis=1))
-    return np.asarray(closest <= radius, dtype=np.bool_)
+    made = np.array([preprocess(scan) for scan in candidates]).reshape(-1, CROP)
+    inside = np.zeros(len(made), dtype=np.bool_)
+    for k in np.unique(labels):
+        own = scans[labels == k]
+        known = np.array([preprocess(scan) for scan in own])
+        some = rng.permutation(len(own))[:MOST_MOVED]
+        moved = augmented(own, some, rng, replace(how, mirror=0.0))
+        radius = float(np.quantile(np.sqrt(((moved - known[some]) ** 2).mean(axis=1)), FAMILIAR_QUANTILE))
+        closest = np.minimum(_distances(made, known).min(axis=1), _distances(mirror(made), known).min(axis=1))
+        inside |= closest <= radius
+    return inside
 
 
 def _distances(a: Floats, b: Floats) -> Array:

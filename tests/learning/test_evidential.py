@@ -208,12 +208,15 @@ def test_composed_places_leave_room_for_the_robot() -> None:
 def test_training_scans_and_their_mirror_images_are_familiar() -> None:
     dataset = three_places(8.0, 0)
     truth = dataset.indices(dataset.contexts)
-    known = (dataset.scans, truth, dataset.blocks)
-    assert familiar(dataset.scans[::7], *known).all()
-    assert familiar(mirror(dataset.scans)[::7], *known).all()
-    made = made_up_scans(*known, 200, np.random.default_rng(0))
-    assert 150 < len(made) <= 200
-    assert not familiar(made, *known).any()
+    how, rng = Augmentation(), np.random.default_rng(0)
+    assert familiar(dataset.scans[::7], dataset.scans, truth, how, rng).all()
+    assert familiar(mirror(dataset.scans)[::7], dataset.scans, truth, how, rng).all()
+    made = made_up_scans(dataset.scans, truth, 200, how, rng)
+    assert 100 < len(made) <= 200
+    assert familiar(made, dataset.scans, truth, how, rng).mean() < 0.02, "but for the radius, which is drawn anew"
+    nothing = replace(how, shift=0.0, noise=0.0, translation=0.0)
+    assert familiar(made, dataset.scans, truth, replace(how, translation=2.0), rng).sum() > len(made) // 20
+    assert not familiar(made, dataset.scans, truth, nothing, rng).any()
 
 
 # --- learning --------------------------------------------------------------------------------------------------------
