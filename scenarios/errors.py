@@ -17,7 +17,8 @@ def blame(subject: str = "") -> Iterator[None]:
         yield
     except OSError as error:
         reason = error.strerror or str(error)
-        name = f"{error.filename}: " if error.filename and str(error.filename) not in subject else ""
+        said = str(error.filename or "")  # a .part is what is renamed when it is complete; nobody asked for it
+        name = f"{said}: " if said not in subject and not said.endswith(".part") else ""
         raise UserError(f"{subject}{': ' if subject else ''}{name}{reason}") from error
     except ValueError as error:
         raise UserError(f"{subject}{': ' if subject else ''}{error}") from error

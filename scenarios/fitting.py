@@ -46,7 +46,7 @@ def fit_contexts(
     with (
         ProcessPoolExecutor(workers, context, _begin, (news, stop)) as pool,
         _stopping_on_interrupt(stop),
-        _Bars(settings) as bars,
+        _Bars(list(taught), settings) as bars,
     ):
         try:
             with _births_undisturbed():
@@ -125,8 +125,7 @@ def _births_undisturbed() -> Iterator[None]:
 class _Bars:
     """What is said on stderr: bars on a terminal, else a line per context."""
 
-    def __init__(self, settings: FitSettings) -> None:
-        self._most = settings.max_evaluations
+    def __init__(self, labels: Sequence[str], settings: FitSettings) -> None:
         self._progress = Progress(
             TextColumn("fitting {task.description}"),
             BarColumn(),
@@ -135,13 +134,14 @@ class _Bars:
             console=Console(stderr=True),
             disable=not sys.stderr.isatty(),
         )
-        self._tasks: dict[str, Any] = {}
+        self._tasks = {
+            label: self._progress.add_task(label, total=settings.max_evaluations, loss="") for label in labels
+        }
 
     def advance(self, label: str, evaluations: int, best: float) -> None:
         """A search is so far."""
-        if label not in self._tasks:
-            self._tasks[label] = self._progress.add_task(label, total=self._most, loss="")
-        self._progress.update(self._tasks[label], completed=evaluations, loss=f"loss {best:.2f}")
+        if label in self._tasks:  # news may come later than the result
+            self._progress.update(self._tasks[label], completed=evaluations, loss=f"loss {best:.2f}")
 
     def finish(self, label: str, result: FitResult) -> None:
         """A fit is done."""
@@ -151,11 +151,12 @@ class _Bars:
         else:
             ended = f"{result.evaluations} evaluations, {result.seconds:.1f} s"
         line = f"appli train: {label}: loss {result.default_loss:.2f} -> {result.loss:.2f} ({ended})"
-        if label in self._tasks:
-            self._progress.remove_task(self._tasks[label])
+        self._progress.remove_task(self._tasks.pop(label))
         self._progress.console.print(line, highlight=False, soft_wrap=True)
 
     def __enter__(self) -> _Bars:
+        line = f"appli train: searching parameters for {', '.join(self._tasks)}; Ctrl-C keeps the best so far"
+        self._progress.console.print(line, highlight=False, soft_wrap=True)
         self._progress.start()
         return self
 

@@ -68,15 +68,22 @@ def train_command(folder: Path, out: Path, types: str, seed: int, confidence: bo
         fits = fit_contexts(interventions, FitSettings(seed=seed))
         print_fits(fits)
         if not all_methods:
-            save_policy(replace(make_policy(interventions, fits, types, seed), use_confidence=confidence), out)
+            _save(replace(make_policy(interventions, fits, types, seed), use_confidence=confidence), out)
             print(f"policy: {out}   drive with it: appli run unseen --driver {out}")
             return 0
+        policies: dict[str, Policy] = {}
         for used, names in _methods_by_types().items():
             policy = make_policy([i for i in interventions if i.kind in used.split(",")], fits, used, seed)
-            for name in names:
-                save_policy(replace(policy, use_confidence=METHODS[name][1]), out / f"{name}.safetensors")
+            policies |= {name: replace(policy, use_confidence=METHODS[name][1]) for name in names}
+        for name, policy in policies.items():  # at the end, so that old and new ones do not mix if it is interrupted
+            _save(policy, out / f"{name}.safetensors")
     print(f"{len(METHODS)} policies in {out}")
     return 0
+
+
+def _save(policy: Policy, path: Path) -> None:
+    with blame(f"cannot write {path}"):
+        save_policy(policy, path)
 
 
 def _methods_by_types() -> dict[str, list[str]]:

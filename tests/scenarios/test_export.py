@@ -408,6 +408,14 @@ def test_a_write_that_fails_leaves_nothing(
     assert [p.name for p in tmp_path.iterdir()] == ["policy.safetensors"]
 
 
+def test_a_place_that_cannot_be_written_is_named_as_it_was_given(
+    policy_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = complaint(capsys, str(policy_path), "--out", "/proc/exported")
+    assert "cannot write the folder /proc/exported: " in said
+    assert ".part" not in said
+
+
 def test_a_folder_that_fills_in_the_meantime_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from scenarios.errors import UserError
 

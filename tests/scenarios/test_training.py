@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import functools
 import os
 import signal
@@ -16,6 +17,7 @@ import pytest
 
 from learning.fit import FitSettings, fit
 from learning.interventions import Intervention, Kind, Step, save_intervention
+from learning.policy import Policy
 from learning.policy_file import load_policy
 from scenarios import training
 from scenarios.cli import main
@@ -23,7 +25,7 @@ from scenarios.fitting import fit_contexts
 from scenarios.tables import plain_table, print_table
 from scenarios.training import METHODS, labelled_scans
 from tests.learning.observations import METADATA, slalom_drive
-from tests.learning.test_policy import changed
+from tests.learning.test_policy import POLICY, changed
 from twin.planner.params import PlannerParams
 from twin.records import Command
 
@@ -96,6 +98,7 @@ def test_any_number_of_workers_finds_what_a_fit_alone_finds(capfd: pytest.Captur
         }
         said = capfd.readouterr().err
         assert [f"{label}: loss" in said for label in alone] == [True, True]
+        assert "searching parameters for A1, B1" in said
         assert "interrupted" not in said
 
 
@@ -333,6 +336,37 @@ def test_all_methods_are_the_papers_six(tmp_path: Path) -> None:
         assert sorted(policy.provenance.interventions.values()) == list(policy.labels)
         for label in policy.labels:
             assert policy.theta(label) == policies["A+B+D"].theta(label), "every context is fitted once"
+
+
+@pytest.mark.usefixtures("quick")
+def test_an_interrupted_all_methods_writes_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(_: object, __: object, used: str, *___: object) -> Policy:
+        if used == "A,B":
+            raise KeyboardInterrupt
+        return POLICY
+
+    monkeypatch.setattr(training, "fit_contexts", lambda *_: {})
+    monkeypatch.setattr(training, "print_fits", lambda _: None)
+    monkeypatch.setattr(training, "make_policy", interrupted)
+    data = folder_of(tmp_path / "iv", *map(made_up, ("A1", "B1", "D1")))
+    assert train(data, "--out", tmp_path / "out", "--all-methods") == 130
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_disk_that_fills_up_meanwhile_gets_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    alone = {"A1": fit(made_up("A1"), QUICK)}
+    monkeypatch.setattr(training, "fit_contexts", lambda *_: alone)
+    data, out = folder_of(tmp_path / "iv", made_up("A1")), tmp_path / "out"
+    monkeypatch.setattr(os, "fsync", full)
+    assert train(data, "--out", out / "p.safetensors", "--types", "A") == 2
+    assert capsys.readouterr().err == f"appli: cannot write {out / 'p.safetensors'}: No space left on device\n"
+    assert list(out.iterdir()) == []
 
 
 def test_lidars_of_different_sizes_do_not_mix() -> None:
