@@ -29,9 +29,9 @@ class Augmentation:
     """How much a training scan may be changed."""
 
     mirror: float = 0.5  # probability
-    shift: float = math.radians(10.0)  # [rad] largest turn, by shifting the crop
+    shift: float = math.radians(15.0)  # [rad] largest turn, by shifting the crop: all that it allows; the authors' 10
     noise: float = 0.05  # [m] largest change of a range, uniform
-    translation: float = 0.30  # [m] largest move of the sensor along each axis; the authors' 0.10 leaves gaps between
+    translation: float = 0.40  # [m] largest move of the sensor along each axis; the authors' 0.10 leaves gaps between
     # the scans of a single brisk demonstration (2 m/s are 0.10 m per scan)
 
     @property

@@ -48,7 +48,7 @@ class TrainingOptions:
     least_steps: int = 4000  # before that the evidence still grows, and a few held-out scans say little
     annealing_steps: int = 1000  # until the KL term has its full weight
     kl_weight: float = 0.1  # lambda after annealing; 1 holds back the evidence for the right context too
-    ood_weight: float = 0.1  # of the uniform target at unfamiliar scans; 0 = the paper's plain EDL
+    ood_weight: float = 0.2  # of the uniform target at unfamiliar scans; 0 = the paper's plain EDL
     ood_scans: int = 3000  # made up once per training
     validation_share: float = 0.2  # of each context's time blocks (authors: of the steps)
     patience: int = 1000  # steps without a better validation loss after which training ends
@@ -60,7 +60,11 @@ class TrainingOptions:
 
 # As published, as far as it is known.
 PLAIN = TrainingOptions(
-    hidden=0, learning_rate=3e-4, kl_weight=1.0, ood_weight=0.0, augmentation=Augmentation(translation=0.10)
+    hidden=0,
+    learning_rate=3e-4,
+    kl_weight=1.0,
+    ood_weight=0.0,
+    augmentation=Augmentation(shift=math.radians(10.0), translation=0.10),
 )
 
 
