@@ -222,7 +222,7 @@ def collect_command(
         print(f"{world.name}: nothing to intervene in")
         return 1
     print_table(table)
-    print(f"{count} interventions in {out}")
+    print(f"{count} intervention{'s' * (count != 1)} in {out}")
     return 0
 
 
