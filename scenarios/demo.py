@@ -6,12 +6,10 @@ import sys
 import time
 from pathlib import Path
 
-from rich.console import Console
-from rich.table import Column, Table
-
 from scenarios.collect import collect_command
 from scenarios.errors import blame
 from scenarios.run import compile_kernels, recording_metadata
+from scenarios.tables import plain_table, print_table
 from scenarios.training import train_command
 from scenarios.trials import TrialResult, TrialSpec, run_trial
 from scenarios.worlds import load_world
@@ -42,7 +40,7 @@ def demo_command(out: Path, seed: int, sessions: int) -> int:
         _say("2. learning planner parameters and the context classifier from types A and B")
         train_command(interventions, policy, "A,B", seed, confidence=True, all_methods=False)
     _say("3. driving with the default parameters and with what was learned")
-    table = Table(Column("world", no_wrap=True), "method", "outcome", "time [s]", "closest [m]", "contexts")
+    table = plain_table("world", "method", "outcome", "time [s]", "closest [m]", "contexts")
     for world in WORLDS:
         for method, driver in (("dwa", "dwa"), (METHOD, str(policy))):
             result = _drive(TrialSpec(world, driver=driver, seed=seed), out / _file_name(world, method))
@@ -55,7 +53,7 @@ def demo_command(out: Path, seed: int, sessions: int) -> int:
                 ", ".join(f"{label} {share:.0%}" for label, share in result.contexts.items()),
             )
         table.add_section()
-    Console().print(table)
+    print_table(table)
     print(f"Look at it:   .venv/bin/rerun {out / _file_name('training', METHOD)}")
     print(f"Go on:        .venv/bin/appli run unseen --driver {policy} --record {out / 'unseen.rrd'}")
     return 0
