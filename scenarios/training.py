@@ -17,7 +17,7 @@ from rich.table import Column
 from learning.fit import FitResult, FitSettings
 from learning.interventions import Intervention, load_dataset
 from learning.labelled_scans import ScanDataset, split, time_blocks
-from learning.policy import Context, Policy, Provenance
+from learning.policy import EPS_U, Context, Policy, Provenance
 from learning.policy_file import save_policy
 from scenarios.errors import UserError, blame
 from scenarios.fitting import fit_contexts
@@ -123,6 +123,8 @@ def make_policy(interventions: Sequence[Intervention], fits: dict[str, FitResult
         ]
         accuracy, certain = figures["held_out_accuracy"], figures["held_out_confidence"]
         say(f"appli train: held out: accuracy {accuracy:.2f}, confidence {certain:.2f}; {trained.report.seconds:.0f} s")
+        if certain < EPS_U:
+            say(f"appli train: below {EPS_U} the default parameters are taken: more sessions make it surer of itself")
     provenance = Provenance(
         interventions={i.digest: i.label for i in interventions},
         losses={label: (result.default_loss, result.loss) for label, result in fits.items()},
