@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from tests.robot.worlds import WORLDS, boxes, cylinders, everything, room, world
-from twin.arena import compile_world, mesh_columns
+from twin.arena import compile_world
+from twin.columns import mesh_columns
 from twin.records import Pose2
 from twin.robot.handles import RobotHandles
 from twin.robot.lidar import Lidar

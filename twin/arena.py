@@ -5,7 +5,7 @@ How an obstacle becomes geometry:
 * Cylinders and boxes stand for themselves, for the lidar and for contact.
 * A mesh (a scanned room) is split in two, because MuJoCo lets rays hit a mesh's true triangles but collides with its
   convex hull, which for a room is a solid block. Its triangles are for eyes and lidar only; contact meets the boxes
-  of `mesh_columns`, over the 5 cm cells that its surface occupies at the robot's height.
+  of `columns.py`, over the 5 cm cells that its surface occupies at the robot's height.
 
 Obstacles are grouped into one static body per 2 m cell, so that `mj_multiRay` can reject whole cells per ray: half the
 time of obstacles straight in the worldbody. Each such body carries an explicit inertial frame parallel to the world.
@@ -18,16 +18,13 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterator
 from functools import lru_cache
-from itertools import pairwise
 from typing import Any, Final
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-from twin.records import Array
+from twin.columns import mesh_columns
 from twin.robot.jackal import (
     COLLISION_GROUP,
     DECORATION_GROUP,
@@ -42,15 +39,6 @@ from twin.world import Box, Cylinder, Mesh, World
 
 CELL: Final = 2.0  # [m] edge of the static bodies; 1.5 to 3 are equally fast, 1 and 4 slower
 MESH_FACES: Final = 150_000  # triangles per mesh geom; MuJoCo's STL reader takes 200,000
-
-COLUMN: Final = (
-    0.05  # [m] cell of a mesh's contact boxes, the costmap's own resolution; contact is up to one cell early
-)
-BAND: Final = (
-    0.04,
-    0.26,
-)  # [m] heights that can be bumped into: above a scanned floor's unevenness, below the chassis' top
-RISE: Final = 0.05  # [m] the boxes' heights are widened to multiples of this, so that neighbours merge
 
 STYLES: Final[dict[str, tuple[float, float, float]]] = {  # rgb by Obstacle.style
     "cylinder": (0.83, 0.36, 0.22),
@@ -171,68 +159,6 @@ def _add_mesh(root: Any, cells: Any, name: str, mesh: Mesh) -> None:
         )
     for index, column in enumerate(mesh_columns(mesh)):
         _add_solid(root, cells, f"{name}_part_{index:04d}", column, group=COLLISION_GROUP)
-
-
-def mesh_columns(mesh: Mesh) -> list[Box]:
-    """Boxes over every cell in which the mesh has surface inside `BAND`, merged into long ones."""
-    points = np.vstack([np.empty((0, 3)), *_surface_points(mesh, COLUMN / 2)])
-    if not len(points):
-        return []
-    cells = np.floor(points[:, :2] / COLUMN).astype(np.int64)
-    occupied, where = np.unique(cells, axis=0, return_inverse=True)
-    low = np.full(len(occupied), np.inf)
-    high = np.full(len(occupied), -np.inf)
-    np.minimum.at(low, where, np.floor(points[:, 2] / RISE) * RISE)
-    np.maximum.at(high, where, np.ceil(points[:, 2] / RISE) * RISE)
-    return [
-        Box(
-            x=COLUMN * (i0 + i1) / 2,
-            y=COLUMN * (j0 + j1) / 2,
-            yaw=0.0,
-            length=COLUMN * (i1 - i0),
-            width=COLUMN * (j1 - j0),
-            height=top - bottom,
-            bottom=bottom,
-            style=mesh.style,
-        )
-        for i0, i1, j0, j1, bottom, top in _merge(occupied, np.round(np.column_stack([low, high]), 6))
-    ]
-
-
-def _surface_points(mesh: Mesh, spacing: float) -> Iterator[Array]:
-    """Points (k, 3) [m] inside `BAND`, no farther apart on the surface than `spacing`, some triangles at a time."""
-    corners = np.asarray(mesh.vertices, dtype=np.float64)[mesh.faces]  # (m, 3, 3)
-    heights = corners[:, :, 2]
-    corners = corners[
-        (heights.max(axis=1, initial=-np.inf) >= BAND[0]) & (heights.min(axis=1, initial=np.inf) <= BAND[1])
-    ]
-    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1, initial=0.0)
-    splits = np.maximum(1, np.ceil(longest / spacing)).astype(int)
-    for n in np.unique(splits).tolist():
-        i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1), indexing="ij")
-        inside = i + j <= n
-        weights = np.column_stack([i[inside], j[inside], n - i[inside] - j[inside]]) / n  # (w, 3) barycentric
-        alike = corners[splits == n]
-        for chunk in np.array_split(alike, math.ceil(len(alike) * len(weights) / 1_000_000)):
-            points = np.einsum("wc,mcd->mwd", weights, chunk).reshape(-1, 3)
-            yield points[(points[:, 2] >= BAND[0]) & (points[:, 2] <= BAND[1])]
-
-
-def _merge(cells: NDArray[np.int64], heights: Array) -> list[tuple[int, int, int, int, float, float]]:
-    """Cells (k, 2) of equal heights (k, 2) joined to rectangles: i0, i1, j0, j1 [cells, half open], bottom, top [m]."""
-    order = np.lexsort((cells[:, 0], cells[:, 1], heights[:, 1], heights[:, 0]))
-    rows = [(*cells[k].tolist(), *heights[k].tolist()) for k in order]
-    breaks = [0, *(k for k, (a, b) in enumerate(pairwise(rows), 1) if b != (a[0] + 1, *a[1:])), len(rows)]
-    runs = sorted(  # along x; sorted so that equal spans of neighbouring rows follow each other
-        ((rows[a][0], rows[b - 1][0] + 1, *rows[a][2:], rows[a][1]) for a, b in pairwise(breaks)),
-    )
-    merged: list[tuple[int, int, int, int, float, float]] = []
-    for i0, i1, bottom, top, j in runs:
-        if merged and merged[-1][:2] == (i0, i1) and merged[-1][3:] == (j, bottom, top):
-            merged[-1] = (i0, i1, merged[-1][2], j + 1, bottom, top)
-        else:
-            merged.append((i0, i1, j, j + 1, bottom, top))
-    return merged
 
 
 def _stl(mesh: Mesh, faces: slice) -> bytes:
