@@ -14,8 +14,9 @@ import numpy as np
 from twin.geometry import shortest_angle
 from twin.planner.inflation import Costmap
 from twin.planner.params import PlannerParams
+from twin.planner.planner_flags import PlannerFlags
 from twin.planner.trajectory import find_best_path, is_legal
-from twin.planner.trajectory_state import BestPath, ControllerSettings, LocalPlannerSettings, PlannerFlags
+from twin.planner.trajectory_state import BestPath, ControllerSettings, LocalPlannerSettings
 from twin.records import STOP, Arc, Array, Command, Pose2, Twist2, frozen_array
 
 STOPPED_V, STOPPED_W = 0.01, 0.01  # [m/s], [rad/s] (TrajectoryPlannerROS: trans_stopped_velocity, rot_stopped_velocity)

@@ -30,6 +30,7 @@ from twin.planner.footprint import FOOTPRINT
 from twin.planner.inflation import Costmap
 from twin.planner.map_grid import MapGrids, goal_centre, map_grids, plan_points, read_only
 from twin.planner.params import PlannerParams
+from twin.planner.planner_flags import PlannerFlags
 from twin.planner.sketch import FARTHEST
 from twin.planner.trajectory_state import (
     BestPath,
@@ -37,7 +38,6 @@ from twin.planner.trajectory_state import (
     ControllerSettings,
     Limits,
     LocalPlannerSettings,
-    PlannerFlags,
     from_ros_values,
     limits_of,
 )
