@@ -12,15 +12,10 @@ for every array of a tuple at every call, which costs more than the work.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
-from typing import TypeVar
-
-import numba
 import numpy as np
 
-from learning.arc_scene import Best, Floor, Room, Scene, Stage
-from twin.compiled import compiled
+from learning.arc_scene import NO_WAY, Best, Floor, Room, Scene, Stage
+from twin.compiled import compiled, inlined
 from twin.planner.arc_check import BEATEN, ILLEGAL, UNDECIDED, Rival, loses, outline_cost
 from twin.planner.arcs import (
     Costs,
@@ -35,20 +30,21 @@ from twin.planner.arcs import (
 from twin.planner.footprint import footprint_cost
 from twin.planner.grid import world_to_cell
 from twin.planner.heap import pop, push
-from twin.planner.sketch import OFF, UNCERTAIN, Posture, Sketch, Start, certain_cell, last_cells, posture, sketch
+from twin.planner.sketch import (
+    OFF,
+    UNCERTAIN,
+    Posture,
+    Sketch,
+    Start,
+    certain_cell,
+    last_cell,
+    last_cells,
+    posture,
+    sketch,
+    start_of,
+)
 from twin.planner.trajectory_state import Limits
 from twin.records import Array
-
-NO_WAY = 255  # in `around`: there is no way from this cell to the plan or to the local goal
-LOOK = 254  # in `around`: an outline may meet a lethal cell, or leave the map
-
-_Function = TypeVar("_Function", bound=Callable[..., object])
-
-
-def inlined(function: _Function) -> _Function:
-    """As `compiled`, and put into its callers' code."""
-    machine_code: _Function = numba.njit(cache=True, error_model="numpy", inline="always")(function)
-    return machine_code
 
 
 @compiled
@@ -103,14 +99,6 @@ def choose_arc(scene: Scene, limits: Limits, room: Room) -> Best:
 
 
 @compiled
-def _start(scene: Scene) -> Start:
-    costs, motion = scene.costs, scene.motion
-    per_metre = 1.0 / costs.resolution
-    x, y = (motion.x - costs.origin_x) * per_metre, (motion.y - costs.origin_y) * per_metre
-    return Start(Posture(x, y, math.cos(motion.yaw), math.sin(motion.yaw)), motion.v, motion.w, per_metre)
-
-
-@compiled
 def _floor(scene: Scene) -> Floor:
     size_y, size_x = scene.around.shape
     footprint = scene.costs.footprint * (1.0 / scene.costs.resolution)
@@ -118,18 +106,8 @@ def _floor(scene: Scene) -> Floor:
 
 
 @compiled
-def _last_cell(limits: Limits, start: Start, v: float, w: float, size_x: int, size_y: int) -> tuple[int, int]:
-    """The cell of a candidate's last point by formula; each may be OFF or UNCERTAIN."""
-    arc = sketch(limits, start, v, w)
-    if not arc.sane:
-        return UNCERTAIN, UNCERTAIN
-    end = posture(limits, start, arc, v, w, arc.points - 1)
-    return certain_cell(end.x, size_x), certain_cell(end.y, size_y)
-
-
-@compiled
 def _last_cell_driven(scene: Scene, limits: Limits, v: float, w: float, points: Array) -> tuple[int, int]:
-    """The same, driven step by step as ROS does."""
+    """The cell of a candidate's last point, driven there step by step as ROS does."""
     costs = scene.costs
     size_y, size_x = costs.cells.shape
     x, y, _ = points[drive(limits, scene.motion, v, w, points) - 1]
@@ -165,7 +143,8 @@ def _list_arcs(scene: Scene, limits: Limits, start: Start, obstacle: int, room: 
 @compiled
 def _best_forward(scene: Scene, limits: Limits, obstacle: int, room: Room) -> Best:
     """The first of the cheapest forward arcs; all begin on a legal point with cost byte `obstacle`."""
-    floor, start = _floor(scene), _start(scene)
+    costs, floor = scene.costs, _floor(scene)
+    start = start_of(scene.motion, costs.origin_x, costs.origin_y, costs.resolution)
     heap, bounds, looked = room.heap, room.bound, room.obstacle
     paths, goals, speeds, rates = room.path, room.goal, room.v, room.rates
     turns = len(rates)
@@ -222,14 +201,14 @@ def _best_turn(scene: Scene, limits: Limits, step: float, obstacle: int, best: B
     """
     costs, floor = scene.costs, _floor(scene)
     size_y, size_x = costs.cells.shape
-    start = _start(scene)
+    start = start_of(scene.motion, costs.origin_x, costs.origin_y, costs.resolution)
     best_ahead = np.inf
     for k in range(limits.vtheta_samples):
         sample = room.w[k]
         if not (sample > step or sample < -1.0 * step) or sample == 0.0:
             continue
         rate = in_place_rate(limits, sample)
-        cx, cy = _last_cell(limits, start, 0.0, rate, size_x, size_y)
+        cx, cy = last_cell(limits, start, 0.0, rate, size_x, size_y)
         if cx == UNCERTAIN or cy == UNCERTAIN:
             cx, cy = _last_cell_driven(scene, limits, 0.0, rate, room.points)
         if cx < 0 or cy < 0 or scene.around[cy, cx] == NO_WAY:

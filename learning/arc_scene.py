@@ -12,6 +12,9 @@ from twin.planner.heap import Heap, empty_heap
 from twin.planner.trajectory_state import Limits
 from twin.records import Array, Bytes
 
+NO_WAY = 255  # in `around`: there is no way from this cell to the plan or to the local goal
+LOOK = 254  # in `around`: an outline may meet a lethal cell, or leave the map
+
 Grid = NDArray[np.uint16] | NDArray[np.int32]
 
 

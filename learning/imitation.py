@@ -21,8 +21,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.arc_choice import LOOK, NO_WAY, choose_arcs
-from learning.arc_scene import Stage, room_for
+from learning.arc_choice import choose_arcs
+from learning.arc_scene import LOOK, NO_WAY, Stage, room_for
 from learning.steps import PackedSteps, Step
 from twin.geometry import normalize_angle
 from twin.planner.arcs import Motion

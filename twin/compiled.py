@@ -89,3 +89,9 @@ def compiled(function: _Function) -> _Function:
     """Machine code of `function`: IEEE division, no fastmath, so that results equal C++'s."""
     machine_code: _Function = numba.njit(cache=CAN_CACHE, error_model="numpy")(function)
     return machine_code
+
+
+def inlined(function: _Function) -> _Function:
+    """As `compiled`, and put into its callers' code."""
+    machine_code: _Function = numba.njit(cache=CAN_CACHE, error_model="numpy", inline="always")(function)
+    return machine_code

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import threading
 from functools import lru_cache
 
@@ -15,7 +14,7 @@ from twin.planner.footprint import footprint_cost
 from twin.planner.forward_search import Best, best_forward, wave_cell
 from twin.planner.heap import empty_heap
 from twin.planner.map_grid import raster_scratch, start_waves
-from twin.planner.sketch import Posture, Start
+from twin.planner.sketch import start_of
 from twin.planner.trajectory_state import LEGAL, Limits
 from twin.planner.turn_search import best_turn
 from twin.planner.wave import BLOCKED, Cells, Wave, empty_wave
@@ -44,17 +43,10 @@ def search(
         ground.path, ground.goal, ground.cells, ground.origin_x, ground.origin_y, ground.resolution,
         motion.x, motion.y, motion.yaw, ground.footprint, raster, plan,
     )  # fmt: skip
-    per_metre = 1.0 / ground.resolution
-    at = Posture(
-        (motion.x - ground.origin_x) * per_metre,
-        (motion.y - ground.origin_y) * per_metre,
-        math.cos(motion.yaw),
-        math.sin(motion.yaw),
-    )
-    start = Start(at, motion.v, motion.w, per_metre)
+    start = start_of(motion, ground.origin_x, ground.origin_y, ground.resolution)
     for k in range(len(ground.footprint)):
-        scratch.footprint[k, 0] = ground.footprint[k, 0] * per_metre
-        scratch.footprint[k, 1] = ground.footprint[k, 1] * per_metre
+        scratch.footprint[k, 0] = ground.footprint[k, 0] * start.per_metre
+        scratch.footprint[k, 1] = ground.footprint[k, 1] * start.per_metre
     best = Best(0.0, 0.0, -1.0, 0, 0)
     here, obstacle = _first_point(ground, motion)
     if obstacle >= 0:  # otherwise no candidate is legal, because all begin here

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.compiled import compiled
-from twin.planner.arcs import ramp, step_count
+from twin.planner.arcs import Motion, ramp, step_count
 from twin.planner.trajectory_state import Limits
 from twin.records import Array
 
@@ -58,6 +58,14 @@ class Sketch(NamedTuple):
     half_s: float  # sine and cosine of half the turn of one such step
     half_c: float
     sane: bool  # False: the formula does not hold, drive the arc
+
+
+@compiled
+def start_of(motion: Motion, origin_x: float, origin_y: float, resolution: float) -> Start:
+    """The start of all arcs, on a costmap with this origin and resolution [m]."""
+    per_metre = 1.0 / resolution
+    x, y = (motion.x - origin_x) * per_metre, (motion.y - origin_y) * per_metre
+    return Start(Posture(x, y, math.cos(motion.yaw), math.sin(motion.yaw)), motion.v, motion.w, per_metre)
 
 
 @compiled
@@ -151,6 +159,16 @@ def certain_cell(position: float, size: int) -> int:
         return OFF if position < -DOUBT or position > size + DOUBT else UNCERTAIN
     cell = int(position)
     return cell if DOUBT < position - cell < 1.0 - DOUBT else UNCERTAIN
+
+
+@compiled
+def last_cell(limits: Limits, start: Start, v: float, w: float, size_x: int, size_y: int) -> tuple[int, int]:
+    """The cell (x, y) of a candidate's last point; each may be OFF or UNCERTAIN."""
+    arc = sketch(limits, start, v, w)
+    if not arc.sane:
+        return UNCERTAIN, UNCERTAIN
+    end = posture(limits, start, arc, v, w, arc.points - 1)
+    return certain_cell(end.x, size_x), certain_cell(end.y, size_y)
 
 
 @compiled
