@@ -1,6 +1,6 @@
 """Interventions I_i = {x_t, a_t} of the paper, and their files: one `.npz` each, a data set is a folder of them.
 
-A file holds the columns of `learning.steps.LAYOUT` and `meta`, a JSON text in bytes. No pickle in either direction.
+A file holds the columns of `step_columns.LAYOUT` and `meta`, a JSON text in bytes. No pickle in either direction.
 Files come from strangers (a colleague's robot, a download), so loading trusts nothing in them.
 """
 
@@ -26,7 +26,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.steps import LAYOUT, PackedSteps, Step, pack
+from learning.step_columns import LAYOUT
+from learning.steps import PackedSteps, Step, pack
 from twin.records import Pose2
 
 __all__ = ["Intervention", "InterventionError", "Kind", "Metadata", "Source", "Step", "load_dataset",

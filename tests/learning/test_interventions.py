@@ -24,7 +24,8 @@ from learning.interventions import (
     load_intervention,
     save_intervention,
 )
-from learning.steps import LAYOUT, pack
+from learning.step_columns import LAYOUT
+from learning.steps import pack
 from tests.learning.observations import METADATA, random_steps, same, slalom_drive, small_intervention
 from twin.planner.params import PlannerParams
 from twin.records import Command, Pose2
