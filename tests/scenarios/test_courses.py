@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scenarios.courses import BUILT_IN, corridor_walls, course_names, wall_boxes
+from scenarios.courses import BUILT_IN, course_names
+from scenarios.walls import corridor_walls, wall_boxes
 from scenarios.worlds import WorldError, list_worlds, load_world
 from twin.free_space import free_space
 from twin.world import Box, Cylinder, World
