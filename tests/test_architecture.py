@@ -65,7 +65,7 @@ DOORWAYS: dict[str, tuple[str, ...]] = {
     "dask": ("scenarios.sweep",),
     "matplotlib": ("scenarios.report.figures",),
     "mujoco": ("twin.simulation", "twin.arena", "twin.robot", "scenarios.surfaces.studio"),  # Studio comes with mujoco
-    "websockets": ("scenarios.surfaces.studio",),
+    "websockets": ("scenarios.surfaces.web_guard",),
     "dm_control": ("twin.arena", "twin.robot"),
     "rosbags": ("scenarios.bags.files",),
 }

@@ -4,7 +4,7 @@ Studio's viewer runs on a thread of its own with a copy of the model, and gets t
 tick. Its usual tools (pausing, dragging, loading models) are not plugged in: they would work behind the session's back.
 
 Studio's web server is meant for trusted networks: it listens everywhere, takes models from anyone, and answers any
-page. Here it listens on one address, takes nothing, and answers its own page only (`Guard`).
+page. Here it listens on one address, takes nothing, and answers its own page only (`web_guard.py`).
 """
 
 from __future__ import annotations
@@ -21,20 +21,16 @@ import threading
 import time
 from collections.abc import Callable
 from typing import Any, Final
-from urllib.parse import urlsplit
 
 import mujoco
 import numpy as np
 from mujoco.experimental.dear_imgui import dear_imgui as imgui
 from mujoco.experimental.studio import launch_thread, messages, plugin, ux, viewer_protocol
-from websockets.asyncio.server import ServerConnection
-from websockets.datastructures import Headers
-from websockets.exceptions import ConnectionClosed
-from websockets.http11 import Request, Response
 
 from scenarios.errors import UserError
 from scenarios.keyboard import CAMERA, QUIT, STOP, Keys
 from scenarios.surfaces.overlay import NAMES, Rgba, panel_lines, strokes
+from scenarios.surfaces.web_guard import Guard, listen
 from scenarios.teleop_view import View
 from twin.arena import compile_world
 from twin.records import Array, Pose2
@@ -225,64 +221,18 @@ def open_window(world: World, lidar_mount: str) -> StudioSurface:
     return StudioSurface(world.start, run, lambda cockpit: cockpit.last_frame)
 
 
-class Guard:
-    """Stands before Studio's web server: which requests get through, and when the driver's page last sent input."""
-
-    def __init__(self, address: str) -> None:
-        """For a server that listens on `address`."""
-        self._loopback = address.startswith("127.") or address == "::1"
-        self.last_input = -math.inf  # [s] time.monotonic
-
-    def refuses(self, request: Request) -> Response | None:
-        """403 for what no page of ours asks: uploads, other sites' scripts, and names rebound to this machine."""
-        host = request.headers.get("Host", "")
-        name = urlsplit(f"//{host}").hostname or ""
-        origin = request.headers.get("Origin")
-        foreign = origin is not None and urlsplit(origin).netloc != host
-        rebound = self._loopback and not (name in ("localhost", "::1") or name.startswith("127."))
-        if foreign or rebound or request.path.split("?")[0] == "/drop":
-            return Response(403, "Forbidden", Headers({"Content-Length": "0"}), b"")
-        return None
-
-    def around(self, serve: Callable[..., Any]) -> Callable[..., Any]:
-        """`websockets.serve` with the guard in front."""
-        guard = self
-
-        class Watched(ServerConnection):
-            async def recv(self, *args: Any, **kwargs: Any) -> Any:
-                driver = self.request is not None and self.request.path.startswith("/ui")
-                try:
-                    message = await super().recv(*args, **kwargs)
-                except ConnectionClosed:
-                    if driver:
-                        guard.last_input = -math.inf  # at once, without waiting for silence
-                    raise
-                if driver:
-                    guard.last_input = time.monotonic()
-                return message
-
-        def guarded(handler: Any, *, process_request: Any, **options: Any) -> Any:
-            def check(connection: ServerConnection, request: Request) -> Any:
-                return guard.refuses(request) or process_request(connection, request)
-
-            return serve(handler, process_request=check, create_connection=Watched, **options)
-
-        return guarded
-
-
 def open_web(world: World, lidar_mount: str, address: str, port: int) -> tuple[StudioSurface, str]:
     """A page that any browser can show, and its URL. Port 0 takes any free one."""
     os.environ.pop("MUJOCO_WEB_VIEWER_DIST", None)  # Studio would serve any folder named here
     from mujoco.experimental.studio import web_viewer
     from mujoco.experimental.studio.web import web_server
-    from websockets.asyncio.server import serve
 
-    public = _listener(address, port)
+    public = listen(address, port)
     port = public.getsockname()[1]
     guard = Guard(address)
     # Studio 3.17 has no option for the address; these two names are where its server gets its socket and its manners.
     web_server.bind_public_socket = lambda host, port=0: public
-    web_server.serve = guard.around(serve)
+    web_server.serve = guard.serve
     model = compile_world(world, lidar_mount)
     config = viewer_protocol.ViewerConfig(title="appli teleop", gfx="web", http_port=port)
 
@@ -292,17 +242,3 @@ def open_web(world: World, lidar_mount: str, address: str, port: int) -> tuple[S
     surface = StudioSurface(world.start, run, lambda cockpit: min(guard.last_input, cockpit.last_frame))
     name = {"0.0.0.0": socket.gethostname(), "::": socket.gethostname()}.get(address, address)
     return surface, f"http://{f'[{name}]' if ':' in name else name}:{port}/"
-
-
-def _listener(address: str, port: int) -> socket.socket:
-    """A socket bound to one address."""
-    listener = socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET, socket.SOCK_STREAM)
-    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
-        listener.bind((address, port))
-        listener.listen()  # whoever follows the URL at once waits a moment instead of being turned away
-    except OSError as error:
-        listener.close()
-        reason = error.strerror or str(error)
-        raise UserError(f"cannot listen on {address} port {port}: {reason}; try --port 0 for any free port") from None
-    return listener

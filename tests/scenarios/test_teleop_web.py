@@ -21,7 +21,8 @@ from websockets.sync.client import connect
 
 from learning.interventions import load_dataset
 from scenarios.errors import UserError
-from scenarios.surfaces.studio import Guard, open_web
+from scenarios.surfaces.studio import open_web
+from scenarios.surfaces.web_guard import Guard
 from scenarios.worlds import load_world
 from tests.scenarios.teleop_browser import chromium, page
 
