@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 
-def appli(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+def appli(*arguments: str, cwd: Path | None = None, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run the command in a process of its own."""
     return subprocess.run(
         [sys.executable, "-m", "scenarios", *arguments],
@@ -23,7 +23,7 @@ def appli(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProce
         text=True,
         timeout=240,
         cwd=cwd,
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])},
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2]), **environment},
         check=False,
     )
 
@@ -194,3 +194,12 @@ def test_ctrl_c_closes_the_recording(tmp_path: Path) -> None:
     rerun = Path(sys.executable).with_name("rerun")
     verified = subprocess.run([rerun, "rrd", "verify", path], capture_output=True, text=True, check=False)
     assert verified.returncode == 0, verified.stdout + verified.stderr
+
+
+def test_worlds_fits_sixty_columns_and_cuts_no_word() -> None:
+    lines = appli("worlds", COLUMNS="60").stdout.splitlines()
+    assert max(map(len, lines)) <= 60
+    told = " ".join(line.split("│")[-2].strip() for line in lines if "│" in line)
+    for entry in json.loads(appli("worlds", "--json").stdout):
+        assert entry["note"] in told
+        assert any(entry["name"] in line and entry["size"] in line for line in lines)
