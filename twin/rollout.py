@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from twin.geometry import distance
 from twin.records import Command, Contact, Decision, Observation, Outcome, Pose2, Tick
-from twin.simulation import Simulation, Snapshot
 from twin.world import World
+
+if TYPE_CHECKING:  # a loop meets its simulation; `import twin` should not load MuJoCo
+    from twin.simulation import Simulation, Snapshot
 
 
 class Driver(Protocol):
