@@ -24,7 +24,7 @@ from scenarios.worlds import load_world
 from twin.planner.params import ParameterSpace, PlannerParams
 from twin.records import Array, Outcome
 
-SPACE, POPULATION, SIGMA = ParameterSpace(), 8, 0.2  # [cube sides] first step size, as in learning.fitting
+SPACE, POPULATION, SIGMA = ParameterSpace(), 8, 0.2  # [cube sides] first step size, as in learning.fit
 
 
 @dataclass(frozen=True, slots=True)

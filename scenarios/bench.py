@@ -125,7 +125,7 @@ def numba_compile_seconds() -> float:
 
 def fit_seconds() -> tuple[float, int]:
     """Seconds for Eq. 1 on one intervention of the synthetic intervener, and its number of steps."""
-    from learning.fitting import FitSettings, fit
+    from learning.fit import FitSettings, fit
 
     kept: list[Collected] = []
     Session(TrialSpec("training"), load_world("training")).run(kept.append)

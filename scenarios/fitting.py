@@ -18,7 +18,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from learning.fitting import FitResult, FitSettings, fit
+from learning.fit import FitResult, FitSettings, fit
 from learning.interventions import Intervention
 
 REPORT = 12  # evaluations between two reports of a worker: one generation

@@ -14,7 +14,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Column
 
-from learning.fitting import FitResult, FitSettings
+from learning.fit import FitResult, FitSettings
 from learning.interventions import Intervention, load_dataset
 from learning.labelled_scans import ScanDataset, split, time_blocks
 from learning.policy import EPS_U, Context, Policy, Provenance

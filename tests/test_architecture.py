@@ -59,7 +59,7 @@ ALLOWED: dict[str, tuple[str, ...]] = {
 DOORWAYS: dict[str, tuple[str, ...]] = {
     "rerun": ("twin.recording",),
     "torch": ("learning.evidential",),
-    "cma": ("learning.fitting",),
+    "cma": ("learning.fit",),
     "trimesh": ("twin.assets", "scenarios.imported"),
     "distributed": ("scenarios.sweep",),
     "dask": ("scenarios.sweep",),

@@ -65,7 +65,7 @@ def test_the_code_is_all_that_trials_import_and_no_more() -> None:
     names = {path.relative_to(identity.ROOT).as_posix() for path in identity.deciding_sources()}
     assert {"scenarios/trials.py", "scenarios/switches.py", "learning/deploy.py", "twin/planner/navfn.py"} <= names
     assert not {name for name in names if "record" in name and name != "twin/records.py"}
-    assert not names & {"scenarios/statistics.py", "scenarios/sweep.py", "scenarios/cli.py", "learning/fitting.py"}
+    assert not names & {"scenarios/statistics.py", "scenarios/sweep.py", "scenarios/cli.py", "learning/fit.py"}
 
 
 def test_comments_and_docstrings_decide_nothing(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 import scenarios.demo as demo
 import scenarios.training as training
-from learning.fitting import FitSettings
+from learning.fit import FitSettings
 from learning.policy_file import load_policy
 from scenarios.cli import main
 from twin.recording import read_recording

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from learning.fitting import FitSettings, fit
+from learning.fit import FitSettings, fit
 from learning.interventions import Intervention, Kind, Step, save_intervention
 from learning.policy import Policy
 from learning.policy_file import load_policy
@@ -108,7 +108,7 @@ ENDLESS = """
 import functools, signal, sys, time
 from learning import evidential
 from scenarios import training
-from learning.fitting import FitSettings
+from learning.fit import FitSettings
 
 if __name__ == "__main__":
     training.FitSettings = functools.partial(

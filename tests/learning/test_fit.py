@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from learning.fitting import FitResult, FitSettings, fit
+from learning.fit import FitResult, FitSettings, fit
 from learning.imitation import Imitation, LabelledSteps, surroundings
 from learning.interventions import Intervention, Step
 from learning.published import published_parameters
