@@ -1,5 +1,6 @@
 # Two commands: `make demo` and `make test`. Each installs what it needs into .venv first. `make experiments` redoes the
-# paper: hours, and the same command goes on where it was stopped (docs/experiments.md).
+# paper: hours, and the same command goes on where it was stopped (docs/experiments.md). `make reference` and
+# `make pictures` remake what docs/ shows.
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
@@ -11,7 +12,7 @@ SEEDS   ?= 0 1 2 3 4 5 6 7
 WORLDS  ?= barn-like
 METHODS := dwa,A,A+c,A+B,A+B+c,A+B+D,A+B+D+c
 
-.PHONY: demo test experiments estimate
+.PHONY: demo test experiments estimate reference
 
 demo: $(READY)
 	$(BIN)/appli demo --out out/demo
@@ -53,6 +54,11 @@ $(SESSIONS): | estimate
 $(LEARNED): $(SESSIONS) | estimate
 	$(BIN)/appli train $(OUT)/interventions --all-methods --seed 0 --out $(OUT)/policies
 	touch $@
+
+# --- documentation ---
+
+reference: $(READY)
+	$(BIN)/python -m scenarios.reference docs/commands.md
 
 # --- installation ---
 

@@ -43,10 +43,19 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _dispatch(arguments: list[str]) -> int:
-    """Parse, then run outside the parser; a parse error becomes a UserError of one line."""
+    """Parse, then run outside the parser."""
     if arguments == ["--version"]:
         print(f"appli-twin {version('appli-twin')}")
         return 0
+    call = parse(arguments)
+    return 0 if call is None else call()
+
+
+def parse(arguments: list[str]) -> Callable[[], int] | None:
+    """The call that a command line asks for, not yet made; None when it asked for help, which is then on stdout.
+
+    A mistake becomes a UserError of one line.
+    """
     commands = {name: _deferred(command) for name, command in COMMANDS.items()}
     said = io.StringIO()
     try:
@@ -56,9 +65,9 @@ def _dispatch(arguments: list[str]) -> int:
             )
     except SystemExit as stop:
         if stop.code in (0, None):
-            return 0
+            return None
         raise UserError(_one_line(said.getvalue())) from None
-    return call()
+    return call
 
 
 def _deferred(command: Callable[..., int]) -> Callable[..., Callable[[], int]]:
