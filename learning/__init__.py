@@ -1,13 +1,15 @@
 """APPLI: parameters and contexts learned from interventions, and the driver that uses them.
 
     from pathlib import Path
-    from learning import Context, Policy, fit, load_dataset, save_policy
+    from learning import Context, Policy, load_dataset, save_policy
+    from learning.fit import fit
 
     taught = [i for i in load_dataset(Path("out/interventions")) if i.label == "A1"]
     theta = fit(taught).theta  # Eq. 1
     save_policy(Policy((Context("A1", theta),)), Path("out/policy.safetensors"))
 
-What stands in `__all__` is the public API. Torch, pycma and numba are loaded with the first name that needs them.
+The public API is what stands in `__all__`, and `learning.fit.fit`, which has its module's name. Torch, pycma and numba
+are loaded with the first name that needs them.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
     from learning.classifier import EvidentialClassifier, Judgement
     from learning.deploy import AppliDriver
     from learning.evidential import ScanDataset, Trained, TrainingOptions, TrainingReport, train
-    from learning.fitting import FitResult, FitSettings, fit
+    from learning.fit import FitResult, FitSettings
     from learning.intervener import Demonstration, Intervener, Plea
     from learning.interventions import (
         Intervention,
@@ -56,7 +58,6 @@ __all__ = [
     "Trained",
     "TrainingOptions",
     "TrainingReport",
-    "fit",
     "load_dataset",
     "load_intervention",
     "load_policy",
@@ -79,9 +80,8 @@ _HOMES = {
     "Demonstration": "intervener",
     "Intervener": "intervener",
     "Plea": "intervener",
-    "FitResult": "fitting",
-    "FitSettings": "fitting",
-    "fit": "fitting",
+    "FitResult": "fit",
+    "FitSettings": "fit",
     "ScanDataset": "evidential",
     "Trained": "evidential",
     "TrainingOptions": "evidential",

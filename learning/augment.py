@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.classifier import BEAMS, CROP, MAX_RANGE, Floats, fill_gaps
+from learning.classifier import BEAMS, CROP, MAX_RANGE, Floats, fill_gaps, preprocess
 from learning.labelled_scans import Integers
 from twin.compiled import compiled
 from twin.records import Array
@@ -90,6 +90,11 @@ def _rescan(ranges: Array, directions: Array, dx: float, dy: float, moved: Array
                     if r > 0.0:
                         moved[k] = min(moved[k], r)
         previous, previous_x, previous_y, previous_beam = True, x, y, beam
+
+
+def inputs_of(scans: Array) -> Floats:
+    """The raw scans (n, 720) as the network takes them, without augmentation: (n, 640)."""
+    return np.array([preprocess(scan) for scan in scans], dtype=np.float32).reshape(-1, CROP)
 
 
 def augmented(scans: Array, order: Integers, rng: np.random.Generator, how: Augmentation) -> Floats:

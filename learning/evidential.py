@@ -23,11 +23,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from learning.augment import Augmentation, augmented
+from learning.augment import Augmentation, augmented, inputs_of
 from learning.calibration import Round, TrainingReport, assess, judge_all
-from learning.classifier import BEAMS, CROP, KERNEL, STRIDE, EvidentialClassifier, Floats, preprocess, weight_shapes
+from learning.classifier import KERNEL, STRIDE, EvidentialClassifier, Floats, weight_shapes
 from learning.labelled_scans import Integers, ScanDataset, balanced, split, time_blocks
-from learning.unfamiliar import unfamiliar_scans
+from learning.unfamiliar import NO_SCANS, Unfamiliar, unfamiliar_scans
 from twin.records import Array
 
 __all__ = ["Round", "ScanDataset", "Trained", "TrainingOptions", "TrainingReport", "time_blocks", "train"]
@@ -50,6 +50,7 @@ class TrainingOptions:
     kl_weight: float = 0.1  # lambda after annealing; 1 holds back the evidence for the right context too
     ood_weight: float = 0.2  # of the uniform target at unfamiliar scans; 0 = the paper's plain EDL
     ood_scans: int = 3000  # made up once per training
+    ood_made_up: float = 0.5  # share of made-up ones in the unfamiliar scans where there is a background
     validation_share: float = 0.2  # of each context's time blocks (authors: of the steps)
     patience: int = 1000  # steps without a better validation loss after which training ends
     refit: bool = True  # then train anew on all blocks for as many steps as proved best (authors: full_train)
@@ -166,29 +167,29 @@ def train(
     contexts = dataset.contexts
     if len(contexts) < 2:
         raise ValueError(f"a context classifier needs scans of two contexts or more, not of {list(contexts)}")
-    if background is not None and options.ood_weight <= 0.0:
+    if background is not None and len(background) and options.ood_weight <= 0.0:
         raise ValueError("background scans need ood_weight > 0")
     rng = np.random.default_rng(options.seed)
     taught, held = split(dataset, options.validation_share, rng)
     ood_scans = options.ood_scans if options.ood_weight > 0.0 else 0
-    strange = unfamiliar_scans(taught, ood_scans, background, options.augmentation, rng)
-    aside = round(OOD_HELD_OUT * len(strange))
+    share, how = options.ood_made_up, options.augmentation
+    aside, strange = unfamiliar_scans(taught, ood_scans, background, share, how, rng).split(OOD_HELD_OUT, rng)
     with _one_thread():
-        descent = _Descent(taught, held, strange[aside:], strange[:aside], contexts, options, rng)
+        descent = _Descent(taught, held, strange, aside, contexts, options, rng)
         rounds = tuple(descent.run(options.steps, progress))
         examined = deployed = EvidentialClassifier.from_weights(contexts, descent.best)
         best_step = descent.best_step
         if options.refit:
-            everywhere = unfamiliar_scans(dataset, ood_scans, background, options.augmentation, rng)
-            descent = _Descent(dataset, None, everywhere, strange[:0], contexts, options, rng)
+            everywhere = unfamiliar_scans(dataset, ood_scans, background, share, how, rng)
+            descent = _Descent(dataset, None, everywhere, None, contexts, options, rng)
             rounds += tuple(descent.run(best_step, progress))
             deployed = EvidentialClassifier.from_weights(contexts, descent.best)
-    beyond = judge_all(deployed, np.empty((0, BEAMS)) if outside is None else outside)
+    beyond = judge_all(deployed, NO_SCANS if outside is None else outside)
     report = TrainingReport(
         contexts=contexts,
         training_scans=len(taught.labels),
         held_out=assess(examined, held.scans, held.labels, options.threshold),
-        unfamiliar_share=judge_all(deployed, strange[:aside]).confident_share(options.threshold),
+        unfamiliar_share=judge_all(deployed, aside.made_up).confident_share(options.threshold),
         outside_share=beyond.confident_share(options.threshold),
         outside_confidence=beyond.mean_confidence,
         best_step=best_step,
@@ -208,8 +209,8 @@ class _Descent:
         self,
         taught: ScanDataset,
         held: ScanDataset | None,
-        strange: Array,
-        strange_held: Array,
+        strange: Unfamiliar,
+        strange_held: Unfamiliar | None,
         contexts: tuple[str, ...],
         options: TrainingOptions,
         rng: np.random.Generator,
@@ -217,11 +218,14 @@ class _Descent:
         self._options, self._rng = options, rng
         self._scans, self._truth = taught.scans, taught.indices(contexts)
         self._one_hot = torch.eye(len(contexts))
-        self._strange, self._strange_held = _inputs(strange), _inputs(strange_held)
-        self._held: tuple[Tensor, Integers] | None = None
-        if held is not None:  # every context counts the same in the validation loss too
+        self._strange = strange
+        self._held: tuple[Tensor, Integers, Tensor] | None = None
+        if held is not None and strange_held is not None:
+            # Every context counts the same in the validation loss too.
             order = balanced(held.indices(contexts), len(held.labels), rng)
-            self._held = _inputs(held.scans[order]), held.indices(contexts)[order]
+            known, truth = inputs_of(held.scans[order]), held.indices(contexts)[order]
+            unknown = inputs_of(np.concatenate([strange_held.made_up, strange_held.background]))
+            self._held = torch.from_numpy(known), truth, torch.from_numpy(unknown)
         self._network = Network(len(contexts), options.hidden, rng)
         self._adam = torch.optim.Adam(list(self._network.weights.values()), lr=options.learning_rate, fused=True)
         self.best: dict[str, Floats] = self._network.copy()
@@ -247,12 +251,11 @@ class _Descent:
         options, total = self._options, 0.0
         order = balanced(self._truth, count * options.batch, self._rng)
         inputs = torch.from_numpy(augmented(self._scans, order, self._rng, options.augmentation))
+        strange = torch.from_numpy(self._strange.draw(count * options.batch, options.augmentation, self._rng))
         for step in range(count):
             here = slice(step * options.batch, (step + 1) * options.batch)
             kl_weight = options.kl_weight * min(1.0, (start + step) / max(1, options.annealing_steps))
-            picked = self._rng.integers(0, max(1, len(self._strange)), options.batch)
-            strange = self._strange[picked] if len(self._strange) else self._strange
-            loss = self._loss(inputs[here], self._truth[order[here]], strange, kl_weight)
+            loss = self._loss(inputs[here], self._truth[order[here]], strange[here], kl_weight)
             self._adam.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
             self._adam.step()
@@ -263,15 +266,10 @@ class _Descent:
         if self._held is None:
             return math.nan
         with torch.no_grad():
-            return self._loss(*self._held, self._strange_held, self._options.kl_weight).item()
+            return self._loss(*self._held, self._options.kl_weight).item()
 
     def _loss(self, inputs: Tensor, truth: Integers, strange: Tensor, kl_weight: float) -> Tensor:
         alpha = self._network.alpha(torch.cat([inputs, strange]))
         known, unknown = alpha[: len(inputs)], alpha[len(inputs) :]
         loss = evidential_loss(known, self._one_hot[torch.from_numpy(truth)], kl_weight, self._options.loss)
         return loss + self._options.ood_weight * uniform_kl(unknown).mean() if len(unknown) else loss
-
-
-def _inputs(scans: Array) -> Tensor:
-    """Raw scans (n, 720) as the network takes them, without augmentation: (n, 640)."""
-    return torch.from_numpy(np.array([preprocess(scan) for scan in scans], dtype=np.float32).reshape(-1, CROP))

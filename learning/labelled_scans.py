@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from learning.classifier import BEAMS
+from learning.interventions import Intervention
 from twin.records import Array
 
 Integers = NDArray[np.int64]
+
+APART = 1.0  # [m] from where a context was shown: elsewhere
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,3 +85,32 @@ def balanced(truth: Integers, count: int, rng: np.random.Generator) -> Integers:
         rounds = [rng.permutation(own) for _ in range(math.ceil(each / len(own)))]
         drawn.append(np.concatenate(rounds)[:each])
     return rng.permutation(np.concatenate(drawn))[:count]
+
+
+def labelled_scans(interventions: Sequence[Intervention]) -> ScanDataset:
+    """The scans of all labelled steps, in blocks of time. Raises ValueError for lidars of different sizes."""
+    packed = [i.packed for i in interventions]
+    if len({p.ranges.shape[1] for p in packed}) > 1:
+        raise ValueError("the interventions come from lidars of different sizes")
+    sources = np.concatenate([np.full(int(p.labelled.sum()), k) for k, p in enumerate(packed)])
+    return ScanDataset(
+        np.concatenate([p.ranges[p.labelled] for p in packed]),
+        tuple(i.label for i in interventions for _ in range(int(i.packed.labelled.sum()))),
+        time_blocks(np.concatenate([p.times[p.labelled] for p in packed]), sources),
+    )
+
+
+def background_scans(taught: Sequence[Intervention], others: Sequence[Intervention]) -> Array:
+    """Scans (k, 720) of `others` that show none of the places where `taught` shows its contexts.
+
+    That is: labelled steps in another world, or farther than APART from every labelled step of `taught`.
+    """
+    scans: list[Array] = [np.empty((0, BEAMS))]
+    for other in others:
+        here = [i.packed for i in taught if i.metadata.world == other.metadata.world]
+        places = np.concatenate([np.empty((0, 2)), *(p.poses[p.labelled, :2] for p in here)])
+        packed = other.packed
+        far = cKDTree(places).query(packed.poses[:, :2])[0] > APART if len(places) else True
+        if packed.ranges.shape[1] == BEAMS:
+            scans.append(packed.ranges[packed.labelled & far])
+    return np.concatenate(scans)

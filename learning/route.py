@@ -24,7 +24,7 @@ class Pace:
 
     top: float = 2.0  # [m/s] the Jackal's limit
     creep: float = 0.2  # [m/s] with no room to spare
-    per_metre: float = 1.2  # [1/s] faster for every metre between the robot's side and the obstacle
+    per_metre: float = 1.0  # [1/s] times r (1 + r): faster, with r metres between the robot's side and obstacles
     lateral: float = 0.8  # [m/s2] comfortable in a curve
     turn: float = 1.6  # [rad/s] comfortable
     accelerate: float = 1.2  # [m/s2]
@@ -155,7 +155,7 @@ def _speeds(points: Array, clearance: Array, pace: Pace) -> Array:
     n = len(points)
     curvature = np.abs(curvatures(points))
     room = np.clip(clearance - 0.21, 0.0, None)
-    allowed = np.minimum(pace.top, pace.creep + pace.per_metre * room)
+    allowed = np.minimum(pace.top, pace.creep + pace.per_metre * room * (1.0 + room))
     allowed = np.minimum(allowed, np.sqrt(pace.lateral / np.maximum(curvature, 1e-6)))
     allowed = np.minimum(allowed, pace.turn / np.maximum(curvature, 1e-6))
     step = np.r_[np.hypot(*np.diff(points, axis=0).T), 0.0]

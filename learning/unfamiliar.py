@@ -7,6 +7,8 @@ generative evidential networks, Sensoy et al. 2020). Two kinds, in equal parts:
 * composed places: corridors, rooms, doorways, obstacle fields of random measures, scanned in closed form;
 * distorted training scans: pieces of different contexts spliced, ranges scaled, directions turned.
 
+Where there are scans of real places that belong to none of the contexts (the background), those count as well.
+
 What comes out as close to a context's scans as augmentation moves those is in that context, and is dropped: a context
 reaches as far as augmentation does.
 """
@@ -14,13 +16,13 @@ reaches as far as augmentation does.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.augment import BEARINGS, Augmentation, augmented, mirror
-from learning.classifier import BEAMS, CROP, Floats, preprocess
+from learning.augment import BEARINGS, Augmentation, augmented, inputs_of, mirror
+from learning.classifier import BEAMS, CROP, Floats
 from learning.labelled_scans import Integers, ScanDataset
 from twin.compiled import compiled
 from twin.records import Array
@@ -28,22 +30,56 @@ from twin.records import Array
 MAX_SCAN_RANGE = 30.0  # [m] of the lidar; beyond is no return
 FREE_RADIUS = 0.25  # [m] kept clear round the sensor: the robot stands there
 FAMILIAR_QUANTILE = 0.9  # of the distances by which augmentation moves a context's scans: inside is familiar
+NO_SCANS: Array = np.empty((0, BEAMS))
 MOST_MOVED = 400  # scans of a context from which that quantile is taken
 
 
-def unfamiliar_scans(
-    dataset: ScanDataset, count: int, background: Array | None, how: Augmentation, rng: np.random.Generator
-) -> Array:
-    """Scans (m, 720) for the uniform target, in random order: about `count` made-up ones, as many of the background.
+@dataclass(frozen=True, slots=True, eq=False)
+class Unfamiliar:
+    """Scans for the uniform target."""
 
-    background: (k, 720) scans of real places where nobody intervened; together they count as much as all made-up ones.
-    """
-    if count <= 0:
-        return np.empty((0, BEAMS))
-    strange = made_up_scans(dataset.scans, dataset.indices(dataset.contexts), count, how, rng)
-    if background is not None and len(real := background[np.isfinite(background).any(axis=1)]):
-        strange = np.concatenate([strange, real[rng.integers(0, len(real), len(strange))]])
-    return rng.permutation(strange)
+    made_up: Array  # (m, 720) [m], used as they are
+    background: Array  # (k, 720) [m] scans of real places that belong to no context, augmented like labelled ones
+    share: float = 0.5  # of made-up ones when there are both
+
+    @property
+    def empty(self) -> bool:
+        """Whether there is none of either."""
+        return not (len(self.made_up) or len(self.background))
+
+    def split(self, share: float, rng: np.random.Generator) -> tuple[Unfamiliar, Unfamiliar]:
+        """A share of both, and the rest."""
+        made_up, background = rng.permutation(self.made_up), rng.permutation(self.background)
+        m, k = round(share * len(made_up)), round(share * len(background))
+        return (
+            Unfamiliar(made_up[:m], background[:k], self.share),
+            Unfamiliar(made_up[m:], background[k:], self.share),
+        )
+
+    def draw(self, count: int, how: Augmentation, rng: np.random.Generator) -> Floats:
+        """(count, 640) network inputs in random order."""
+        if self.empty:
+            return np.empty((0, CROP), dtype=np.float32)
+        made = count if not len(self.background) else round(self.share * count) if len(self.made_up) else 0
+        chosen = inputs_of(self.made_up[rng.integers(0, max(1, len(self.made_up)), made)])
+        if made == count:
+            return chosen
+        real = augmented(self.background, rng.integers(0, len(self.background), count - made), rng, how)
+        return rng.permutation(np.concatenate([chosen, real]))
+
+
+def unfamiliar_scans(
+    dataset: ScanDataset,
+    count: int,
+    background: Array | None,
+    share: float,
+    how: Augmentation,
+    rng: np.random.Generator,
+) -> Unfamiliar:
+    """About `count` made-up scans, and the usable ones of a background (k, 720)."""
+    made = made_up_scans(dataset.scans, dataset.indices(dataset.contexts), count, how, rng) if count else NO_SCANS
+    real = NO_SCANS if background is None else background[np.isfinite(background).any(axis=1)]
+    return Unfamiliar(made, real, share)
 
 
 def made_up_scans(scans: Array, labels: Integers, count: int, how: Augmentation, rng: np.random.Generator) -> Array:
@@ -183,11 +219,11 @@ def familiar(
     Close: root mean square of the difference of the network's inputs. The radius of a context is a quantile of the
     distances between its scans and themselves after augmentation.
     """
-    made = np.array([preprocess(scan) for scan in candidates]).reshape(-1, CROP)
+    made = inputs_of(candidates)
     inside = np.zeros(len(made), dtype=np.bool_)
     for k in np.unique(labels):
         own = scans[labels == k]
-        known = np.array([preprocess(scan) for scan in own])
+        known = inputs_of(own)
         some = rng.permutation(len(own))[:MOST_MOVED]
         moved = augmented(own, some, rng, replace(how, mirror=0.0))
         radius = float(np.quantile(np.sqrt(((moved - known[some]) ** 2).mean(axis=1)), FAMILIAR_QUANTILE))

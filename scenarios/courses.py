@@ -1,4 +1,4 @@
-"""Courses: rooms of walls, corridors, boxes and cylinders, written in TOML (format: docs/worlds.md)."""
+"""Courses: rooms of walls, corridors, rows of bins, boxes and cylinders, written in TOML (format: docs/worlds.md)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from scenarios.walls import Point, Points, corridor_walls, wall_boxes
+from scenarios.walls import Point, Points, corridor_walls, cylinder_row, wall_boxes
 from scenarios.world_checks import MAX_COORDINATE, MAX_OBSTACLES, WorldError
 from twin.records import Pose2
 from twin.world import Box, Cylinder, Obstacle, Rules, Segment, World
@@ -162,6 +162,12 @@ TABLES: dict[str, dict[str, _Key]] = {
         "height": _HEIGHT,
         "style": _Key(_style, "cardboard"),
     },
+    "rows": {
+        "points": _Key(_points(2)),
+        "radius": _Key(_positive),
+        "height": _HEIGHT,
+        "style": _Key(_style, "cylinder"),
+    },
     "boxes": {
         "at": _Key(_point),
         "size": _Key(_size),
@@ -199,6 +205,8 @@ class _Reader:
             obstacles += wall_boxes(wall["points"], wall["thickness"], wall["height"], wall["style"], wall["closed"])
         for k, corridor in enumerate(tables["corridors"]):
             obstacles += self._corridor(corridor, k)
+        for row in tables["rows"]:
+            obstacles += cylinder_row(row["points"], row["radius"], row["height"], row["style"])
         for box in tables["boxes"]:
             (x, y), (length, width, height) = box["at"], box["size"]
             obstacles.append(Box(x, y, box["yaw"], length, width, height, box["bottom"], box["style"]))

@@ -16,7 +16,7 @@ from rich.table import Column
 
 from learning.fit import FitResult, FitSettings
 from learning.interventions import Intervention, load_dataset
-from learning.labelled_scans import ScanDataset, split, time_blocks
+from learning.labelled_scans import background_scans, labelled_scans, split
 from learning.policy import EPS_U, Context, Policy, Provenance
 from learning.policy_file import save_policy
 from scenarios.errors import UserError, blame
@@ -50,6 +50,7 @@ def train_command(folder: Path, out: Path, types: str, seed: int, confidence: bo
     if seed < 0:
         raise UserError(f"--seed must be 0 or more, not {seed}")
     with blame():
+        everything = load_dataset(folder)
         interventions = load_dataset(folder, wanted)
     with blame(str(folder)):
         check_teachable(interventions)
@@ -68,12 +69,12 @@ def train_command(folder: Path, out: Path, types: str, seed: int, confidence: bo
         fits = fit_contexts(interventions, FitSettings(seed=seed))
         print_fits(fits)
         if not all_methods:
-            _save(replace(make_policy(interventions, fits, types, seed), use_confidence=confidence), out)
+            _save(replace(make_policy(everything, fits, types, seed), use_confidence=confidence), out)
             print(f"policy: {out}   drive with it: appli run unseen --driver {out}")
             return 0
         policies: dict[str, Policy] = {}
         for used, names in _methods_by_types().items():
-            policy = make_policy([i for i in interventions if i.kind in used.split(",")], fits, used, seed)
+            policy = make_policy(everything, fits, used, seed)
             policies |= {name: replace(policy, use_confidence=METHODS[name][1]) for name in names}
         for name, policy in policies.items():  # at the end, so that old and new ones do not mix if it is interrupted
             _save(policy, out / f"{name}.safetensors")
@@ -105,8 +106,13 @@ def check_teachable(interventions: Sequence[Intervention]) -> None:
     split(dataset, 0.5, np.random.default_rng(0))
 
 
-def make_policy(interventions: Sequence[Intervention], fits: dict[str, FitResult], types: str, seed: int) -> Policy:
-    """The contexts of these interventions with their theta, and a classifier when there is something to tell apart."""
+def make_policy(everything: Sequence[Intervention], fits: dict[str, FitResult], types: str, seed: int) -> Policy:
+    """The contexts of these types with their theta, and a classifier when there is something to tell apart.
+
+    Interventions of the other types show places of no context, in which the classifier learns to be unsure.
+    """
+    interventions = [i for i in everything if i.kind in types.split(",")]
+    others = [i for i in everything if i.kind not in types.split(",")]
     labels = sorted({i.label for i in interventions})
     fits = {label: fits[label] for label in labels}
     curves = {label: [(float(n), float(loss)) for n, _, loss in best_so_far(fit)] for label, fit in fits.items()}
@@ -115,9 +121,11 @@ def make_policy(interventions: Sequence[Intervention], fits: dict[str, FitResult
         from learning.evidential import TrainingOptions, train
 
         say = functools.partial(print, file=sys.stderr, flush=True)
-        say(f"appli train: classifier for {', '.join(labels)} ...")
-        trained = train(labelled_scans(interventions), TrainingOptions(seed=seed))
-        classifier, figures = trained.classifier, trained.report.figures()
+        background = background_scans(interventions, others)
+        say(f"appli train: classifier for {', '.join(labels)}, {len(background)} scans of other places ...")
+        trained = train(labelled_scans(interventions), TrainingOptions(seed=seed), background=background)
+        classifier = trained.classifier
+        figures = trained.report.figures() | {"background_scans": float(len(background))}
         curves["classifier"] = [
             (float(r.steps), r.validation) for r in trained.report.rounds if math.isfinite(r.validation)
         ]
@@ -147,21 +155,6 @@ def best_so_far(result: FitResult) -> list[tuple[float, float, float]]:
             lowest = loss
             rows.append((evaluations, search, loss))
     return rows
-
-
-def labelled_scans(interventions: Sequence[Intervention]) -> ScanDataset:
-    """The scans of all labelled steps, in blocks of time."""
-    scans, labels, times, sources = [], [], [], []
-    for source, intervention in enumerate(interventions):
-        for step in intervention.steps:
-            if step.labelled:
-                scans.append(step.observation.scan.ranges)
-                labels.append(intervention.label)
-                times.append(step.observation.time)
-                sources.append(source)
-    if len({len(ranges) for ranges in scans}) > 1:
-        raise ValueError("the interventions come from lidars of different sizes")
-    return ScanDataset(np.array(scans), tuple(labels), time_blocks(np.array(times), np.array(sources)))
 
 
 def print_fits(fits: dict[str, FitResult]) -> None:

@@ -1,4 +1,4 @@
-"""Walls of a course: lines on the floor as boxes, and the two lines beside a corridor's centre line."""
+"""Walls of a course: lines on the floor as boxes or cylinders, and the two lines beside a corridor's centre line."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from twin.world import Box, Obstacle
+from twin.world import Box, Cylinder, Obstacle
 
 Point = tuple[float, float]
 Points = tuple[Point, ...]
@@ -28,6 +28,18 @@ def wall_boxes(
         x, y = a[0] + middle * math.cos(yaw), a[1] + middle * math.sin(yaw)
         boxes.append(Box(x, y, yaw, length + before + after, thickness, height, style=style))
     return boxes
+
+
+def cylinder_row(points: Sequence[Point], radius: float, height: float, style: str) -> list[Obstacle]:
+    """A polyline as cylinders that touch: one at every point, and as many between as leave no gap."""
+    x, y = points[0]
+    row: list[Obstacle] = [Cylinder(x, y, radius, height, style)]
+    for a, b in itertools.pairwise(points):
+        count = math.ceil(math.dist(a, b) / (2 * radius) - 1e-9)
+        for k in range(1, count + 1):
+            x, y = (start + k / count * (end - start) for start, end in zip(a, b, strict=True))
+            row.append(Cylinder(x, y, radius, height, style))
+    return row
 
 
 def corridor_walls(centre: Sequence[Point], spacing: float) -> tuple[Points, Points]:

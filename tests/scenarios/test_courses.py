@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from scenarios.courses import BUILT_IN, course_names
-from scenarios.walls import corridor_walls, wall_boxes
+from scenarios.walls import corridor_walls, cylinder_row, wall_boxes
 from scenarios.worlds import WorldError, list_worlds, load_world
 from twin.free_space import free_space
 from twin.world import Box, Cylinder, World
@@ -96,6 +96,16 @@ def test_rules_of_a_course(name: str) -> None:
     assert world.start.yaw == 0.0
 
 
+def test_a_row_of_bins_has_no_gap_and_ends_where_it_says() -> None:
+    row = [(c.x, c.y) for c in cylinder_row([(0.0, 0.0), (1.0, 0.0), (1.0, -0.5)], 0.07, 0.8, "cylinder")]
+    assert row[0] == (0.0, 0.0)
+    assert (1.0, 0.0) in row
+    assert row[-1] == (1.0, -0.5)
+    steps = [math.dist(a, b) for a, b in itertools.pairwise(row)]
+    assert max(steps) <= 0.14 + 1e-9
+    assert min(steps) > 0.12
+
+
 @pytest.mark.parametrize("name", ["open", "corridor", "doorway", "u-trap"])
 def test_small_worlds_can_be_crossed(name: str) -> None:
     world = load_world(name)
@@ -131,7 +141,7 @@ def test_the_example_in_the_docs_is_a_course(tmp_path: Path) -> None:
     blocks = [part.split("```")[0] for part in text.split("```toml\n")[1:]]
     world = course(tmp_path, "".join(blocks))
     assert len(blocks) == 2
-    assert len(world.obstacles) == 2 + 4 + 1 + 1
+    assert len(world.obstacles) == 2 + 4 + 11 + 1 + 1
     assert len(world.segments) == 1
 
 
