@@ -12,7 +12,7 @@ SEEDS   ?= 0 1 2 3 4 5 6 7
 WORLDS  ?= barn-like
 METHODS := dwa,A,A+c,A+B,A+B+c,A+B+D,A+B+D+c
 
-.PHONY: demo test experiments estimate reference
+.PHONY: demo test experiments estimate reference pictures
 
 demo: $(READY)
 	$(BIN)/appli demo --out out/demo
@@ -59,6 +59,16 @@ $(LEARNED): $(SESSIONS) | estimate
 
 reference: $(READY)
 	$(BIN)/python -m scenarios.reference docs/commands.md
+
+# Drawn without a screen, by EGL or OSMesa. ONLY="robot drive" makes these alone; the figures of the report and, where
+# there is a chromium, the teleop page come with all of them.
+pictures: export MUJOCO_GL ?= egl
+pictures: $(READY)
+	$(BIN)/python -m scenarios.pictures docs/pictures $(ONLY)
+ifeq ($(ONLY),)
+	$(BIN)/appli report results/courses.sqlite --policies results/policies --out results/report
+	! command -v chromium >/dev/null || PYTHONPATH=. $(BIN)/python docs/pictures/teleop_web.py
+endif
 
 # --- installation ---
 

@@ -64,7 +64,11 @@ DOORWAYS: dict[str, tuple[str, ...]] = {
     "distributed": ("scenarios.sweep",),
     "dask": ("scenarios.sweep",),
     "matplotlib": ("scenarios.report.figures",),
-    "mujoco": ("twin.simulation", "twin.arena", "twin.robot", "scenarios.surfaces.studio"),  # Studio comes with mujoco
+    "mujoco": (
+        *("twin.simulation", "twin.arena", "twin.robot"),
+        "scenarios.surfaces.studio",  # Studio comes with mujoco
+        "scenarios.pictures.stage",  # and so does the renderer
+    ),
     "websockets": ("scenarios.surfaces.web_guard",),
     "dm_control": ("twin.arena", "twin.robot"),
     "rosbags": ("scenarios.bags.files",),
