@@ -21,6 +21,7 @@ from twin.rollout import Driver, Loop, LoopState, Referee, rollout
 from twin.world import Box, Cylinder, Mesh, Rules, Segment, World
 
 if TYPE_CHECKING:
+    from twin.environment import Environment, RewardWeights, Task
     from twin.planner.move_base import MoveBase, MoveBaseDriver, MoveBaseSettings
     from twin.planner.params import ParameterSpace, PlannerParams
     from twin.planner.plan import PlannerSettings
@@ -42,6 +43,7 @@ __all__ = [
     "Decision",
     "DriveConfig",
     "Driver",
+    "Environment",
     "LidarConfig",
     "LocalPlannerSettings",
     "Loop",
@@ -62,6 +64,7 @@ __all__ = [
     "Recording",
     "RecordingError",
     "Referee",
+    "RewardWeights",
     "RobotConfig",
     "Rules",
     "Scan",
@@ -69,6 +72,7 @@ __all__ = [
     "Simulation",
     "Snapshot",
     "Tape",
+    "Task",
     "Tick",
     "Twist2",
     "World",
@@ -81,6 +85,9 @@ _HOMES = {
     "Simulation": "simulation",
     "Snapshot": "simulation",
     "Tape": "rewind",
+    "Environment": "environment",
+    "RewardWeights": "environment",
+    "Task": "environment",
     "Recorder": "recording",
     "Recording": "recording",
     "RecordingError": "recording",
