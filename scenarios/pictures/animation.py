@@ -40,6 +40,9 @@ HOLD = 2000  # [ms] of the last frame
 LIMIT = 4_900_000  # [bytes]
 QUALITIES = (72, 60, 48, 36, 24)  # of WebP: the best that fits
 SHADE: RGB = (205, 208, 212)
+GOAL: RGB = (38, 130, 70)
+AHEAD = 0.2  # [m] of the robot is what the camera behind it looks at
+RADIUS = 0.4  # [m] of the ring that marks the goal
 
 
 def animation(policy: Path) -> bytes:
@@ -73,14 +76,20 @@ def film(ticks: Sequence[Tick]) -> list[Image.Image]:
     view, points, contexts = whole(world, COURSE), path_of(ticks), [t.decision.context for t in ticks]
     shown = [*range(0, len(ticks) - 1, TICKS), len(ticks) - 1]
     frames, yaw = [], ticks[0].true_pose.yaw
-    with Stage(world, COURSE, shadows=30.0) as above, Stage(world, BEHIND, shadows=5.0) as behind:
+    turn = np.linspace(0.0, math.tau, 60)
+    circle = np.column_stack([world.goal.x + RADIUS * np.cos(turn), world.goal.y + RADIUS * np.sin(turn)])
+    with Stage(world, COURSE, shadows=24.0) as above, Stage(world, BEHIND, shadows=5.0) as behind:
+        above.hide_goal()
+        behind.hide_goal()
         for k in shown:
             pose = ticks[k].true_pose
             yaw += 0.5 * math.remainder(pose.yaw - yaw, math.tau)  # the camera swings after the robot
             for stage in (above, behind):
                 stage.place(pose, [_rolled(points[: k + 1])] * 4)
-            close = View((pose.x + 0.4 * math.cos(yaw), pose.y + 0.4 * math.sin(yaw), 0.1), math.degrees(yaw), -34, 2.4)
-            stripes = stripes_by_context(points[: k + 1], contexts[: k + 1])
+            close = View(
+                (pose.x + AHEAD * math.cos(yaw), pose.y + AHEAD * math.sin(yaw), 0.1), math.degrees(yaw), -48.0, 2.3
+            )
+            stripes = [Stripe(circle, GOAL), *stripes_by_context(points[: k + 1], contexts[: k + 1])]
             image = Image.new("RGB", SIZE, PALE)
             image.paste(_seen(above, view, stripes, 3.5), (0, 0))
             image.paste(_seen(behind, close, stripes, 6.0), (0, COURSE[1]))

@@ -90,6 +90,10 @@ class Stage:
         mask: NDArray[np.uint8] = np.where(flat, 255, 0).astype(np.uint8)
         return Image.fromarray(mask).resize(self.size, Image.Resampling.LANCZOS)
 
+    def hide_goal(self) -> None:
+        """Leave the goal's disc out: in the shade it flickers from picture to picture."""
+        self._model.geom("goal").rgba[3] = 0.0
+
     def close(self) -> None:
         """Give the graphics back."""
         self._renderer.close()
