@@ -34,6 +34,7 @@ from twin.world import World
 TICK = 0.05  # [s]
 TRAIL_SPACING = 0.04  # [m]
 TAPE = 60.0  # [s] that can be wound back
+LEAD = 3.0  # [s] of the default's drive that a recording shows before the trouble, or before where it is wound back to
 PATIENCE = 12  # interventions at one place before the session gives up
 
 
@@ -45,6 +46,8 @@ class Collected:
     place: str
     min_clearance: float  # [m] during the demonstration
     ticks: tuple[Tick, ...]  # the demonstration
+    before: tuple[Tick, ...]  # the default's drive that led to it, up to where it was noticed
+    start: int  # tick of that drive that was wound back to; after the last = not wound back
 
 
 class Labels:
@@ -81,11 +84,15 @@ class Session:
         say: Callable[[str], None] = lambda _: None,
         rewinding: bool = True,
         labels: Labels | None = None,
+        explain: bool = False,
     ) -> None:
-        """`say` hears what is going on, in words. Without rewinding the person takes over where the robot is."""
+        """`say` hears what is going on, in words. Without rewinding the person takes over where the robot is.
+
+        `explain`: ticks hold costmaps and candidate arcs, for a recording.
+        """
         self._rewinding = rewinding
         self._spec, self._world, self._say = spec, world, say
-        self._tape = Tape(Loop(make_simulation(spec, world), make_driver(spec)), TAPE)
+        self._tape = Tape(Loop(make_simulation(spec, world), make_driver(spec, explain)), TAPE)
         self._intervener = Intervener(world, rewinding)
         self._rng = np.random.default_rng([spec.seed, world.index, spec.run, 1])  # the human's hand
         self._ticks: dict[int, Tick] = {}
@@ -122,6 +129,8 @@ class Session:
         start = max(plea.start, self._tape.oldest) if self._rewinding else self._tape.position
         began = self._ticks[max(plea.began, start) if self._rewinding else plea.began].observation
         rewound = max(0.0, (plea.noticed - start) * TICK)
+        first = min(start, plea.began) - round(LEAD / TICK)
+        before = tuple(self._ticks[k] for k in range(first, plea.noticed + 1) if k in self._ticks)
         if plea.kind == "A" or not self._rewinding:
             self._tape.rewind(start)
             ticks, good = self._drive_by_hand(plea, start)
@@ -146,7 +155,8 @@ class Session:
         if new:
             self._say(f"{label} at {_where(plea, ticks[0].true_pose)}: {plea.reason}")
         clearance = min(t.clearance for t in ticks)
-        return Collected(Intervention(plea.kind, label, steps, metadata), plea.place, clearance, tuple(ticks)), over
+        made = Intervention(plea.kind, label, steps, metadata)
+        return Collected(made, plea.place, clearance, tuple(ticks), before, start), over
 
     def _drive_by_hand(self, plea: Plea, start: int) -> tuple[list[Tick], list[bool]]:
         """The person's drive from tick `start` until handed back or the trial ends; which ticks are worth learning."""
@@ -201,7 +211,9 @@ def collect_command(
         with blame(f"cannot write to {out}"):
             path = save_intervention(made, out)
             if record:
-                write_recording(path.with_suffix(".rrd"), world, collected)
+                from scenarios.recorded import record_intervention
+
+                record_intervention(path.with_suffix(".rrd"), world, collected)
         table.add_row(
             path.name,
             made.label,
@@ -215,7 +227,7 @@ def collect_command(
     for number in range(seed, seed + sessions):
         say = functools.partial(print, f"appli collect: session {number}:", file=sys.stderr, flush=True)
         try:
-            Session(TrialSpec(world_name, protocol, seed=number), world, say, rewinding, labels).run(keep)
+            Session(TrialSpec(world_name, protocol, seed=number), world, say, rewinding, labels, record).run(keep)
         except UnreachableError as error:
             raise UserError(f"{world.name}: {error}; a human could not show a way either") from error
     if count == 0:
@@ -224,14 +236,3 @@ def collect_command(
     print_table(table)
     print(f"{count} intervention{'s' * (count != 1)} in {out}")
     return 0
-
-
-def write_recording(path: Path, world: World, collected: Collected) -> None:
-    """The demonstration as a recording, planner and human commands side by side."""
-    from twin.recording import Recorder
-
-    made = collected.intervention
-    metadata = {"world": world.name, "driver": f"intervention {made.label}", "seed": made.metadata.seed}
-    with Recorder(path, world, metadata) as recorder:
-        for tick in collected.ticks:
-            recorder.add(tick)

@@ -26,6 +26,8 @@ def run(
     goal: str | None = None,
     record: Path | None = None,
     record_bag: Path | None = None,
+    view: bool = False,
+    web: bool = False,
     json: bool = False,
     switches: Annotated[Switches, OmitArgPrefixes] = Switches(),  # noqa: B008 (tyro reads the default; it is frozen)
 ) -> int:
@@ -43,12 +45,16 @@ def run(
         goal: "x,y" in metres, for worlds that bring none.
         record: Write a Rerun recording (.rrd) here.
         record_bag: Write the drive as a ROS 2 bag (.mcap) here (docs/real_robot.md).
+        view: Watch while it runs, in Rerun's viewer.
+        web: With --view: as a page that only this machine can open, instead of a window; it stays until Ctrl-C.
         json: Print one JSON object on stdout and nothing else.
         switches: Planner switches.
     """
     from scenarios.run import run_command
 
-    return run_command(world, driver, protocol, seed, params, start, goal, record, record_bag, json, switches)
+    return run_command(
+        world, driver, protocol, seed, params, start, goal, record, record_bag, view, web, json, switches
+    )
 
 
 def collect(
@@ -76,7 +82,7 @@ def collect(
             classifier needs several.
         rewind: --no-rewind takes over where the robot failed and brings it to a good state first; only what follows
             is learnt from, and type D is left out.
-        record: Write a recording of each demonstration beside it.
+        record: Write a recording of each beside it: the default's drive, the rewind, the demonstration.
         bag: Recorded drives.
     """
     if bag.bag is not None:
@@ -143,6 +149,20 @@ def train(
     from scenarios.training import train_command
 
     return train_command(interventions, out, types, seed, confidence, all_methods)
+
+
+def view(recordings: Positional[tuple[Path, ...]], /, compare: bool = False, web: bool = False, port: int = 0) -> int:
+    """Open a recording in Rerun's viewer, or two side by side.
+
+    Args:
+        recordings: Files that `appli run --record` or `appli collect --record` wrote (.rrd).
+        compare: Show two recordings of one world side by side.
+        web: As a page that only this machine can open, until Ctrl-C, instead of a window.
+        port: Port of the page; 0 takes a free one.
+    """
+    from scenarios.view import view_command
+
+    return view_command(recordings, compare, web, port)
 
 
 def export(policy: Positional[Path], /, out: Path, format: Literal["move_base", "nav2"] = "move_base") -> int:
@@ -264,6 +284,7 @@ COMMANDS: dict[str, Callable[..., int]] = {
     "train": train,
     "sweep": sweep,
     "report": report,
+    "view": view,
     "export": export,
     "worlds": worlds,
     "bench": bench,

@@ -8,12 +8,12 @@ from pathlib import Path
 
 from scenarios.collect import collect_command
 from scenarios.errors import blame
-from scenarios.run import compile_kernels, recording_metadata
+from scenarios.recorded import open_recorder
+from scenarios.run import compile_kernels
 from scenarios.tables import plain_table, print_table
 from scenarios.training import train_command
-from scenarios.trials import TrialResult, TrialSpec, run_trial
+from scenarios.trials import TrialResult, TrialSpec, make_driver, run_trial
 from scenarios.worlds import load_world
-from twin.recording import Recorder
 from twin.simulation import TICK
 
 WORLDS = ("training", "barn-like/60", "barn-like/150", "barn-like/240")
@@ -54,7 +54,9 @@ def demo_command(out: Path, seed: int, sessions: int) -> int:
             )
         table.add_section()
     print_table(table)
-    print(f"Look at it:   .venv/bin/rerun {out / _file_name('training', METHOD)}")
+    print(f"Look at it:   .venv/bin/appli view {out / _file_name('training', METHOD)}")
+    both = " ".join(str(out / _file_name("training", method)) for method in ("dwa", METHOD))
+    print(f"Side by side: .venv/bin/appli view --compare {both}")
     print(f"Go on:        .venv/bin/appli run unseen --driver {policy} --record {out / 'unseen.rrd'}")
     return 0
 
@@ -62,8 +64,9 @@ def demo_command(out: Path, seed: int, sessions: int) -> int:
 def _drive(spec: TrialSpec, recording: Path) -> TrialResult:
     world = load_world(spec.world)
     began = time.perf_counter()
-    with blame(), Recorder(recording, world, recording_metadata(spec, world)) as recorder:
-        result = run_trial(spec, world, recorder.add, explain=True)
+    driver = make_driver(spec, explain=True)
+    with blame(), open_recorder(spec, world, driver, recording) as recorder:
+        result = run_trial(spec, world, recorder.add, driver=driver)
     speed = result.ticks * TICK / (time.perf_counter() - began)
     _say(f"   {spec.world} with {Path(spec.driver).stem}: {result.outcome.value}, {speed:.0f} x real time")
     return result

@@ -34,6 +34,8 @@ def run_command(
     goal: str | None,
     record: Path | None,
     record_bag: Path | None,
+    view: bool,
+    web: bool,
     json: bool,
     switches: Switches,
 ) -> int:
@@ -43,29 +45,40 @@ def run_command(
     check_recording_path(record)
     if record_bag is not None and record_bag.suffix != ".mcap":
         raise UserError(f"--record-bag takes a file that ends in .mcap, not {record_bag}")
+    if web and not view:
+        raise UserError("--web goes with --view")
     with blame():
         theta = PlannerParams() if params is None else read_params(params)
         world = load_world(world_name, protocol, start=start, goal=goal)
         spec = TrialSpec(world_name, protocol, driver, seed, 0, theta, switches)
         make_driver(spec)  # a wrong name or file is told before anything is compiled
     compile_kernels()
-    began = time.perf_counter()
-    result = _run_watched(spec, world, record, record_bag, quiet=json or not sys.stderr.isatty())
-    wall = time.perf_counter() - began
-    report = {
-        "world": world.name,
-        "protocol": world.rules.protocol,
-        "driver": driver,
-        "seed": seed,
-        **result_as_dict(result),
-        "wall_time": round(wall, 3),
-        "real_time_factor": round(result.ticks * 0.05 / wall, 2),
-        "recording": None if record is None else str(record),
-        "bag": None if record_bag is None else str(record_bag),
-    }
-    print(json_module.dumps(report) if json else summary(world, result, report["real_time_factor"], record))
-    if record_bag is not None and not json:
-        print(f"  bag: {record_bag}")
+    with ExitStack() as stack:
+        viewer = None
+        if view:
+            from scenarios.view import open_viewer, stay
+
+            viewer = stack.enter_context(open_viewer(web))
+        began = time.perf_counter()
+        watching = None if viewer is None else viewer.url
+        result = _run_watched(spec, world, record, record_bag, watching, quiet=json or not sys.stderr.isatty())
+        wall = time.perf_counter() - began
+        report = {
+            "world": world.name,
+            "protocol": world.rules.protocol,
+            "driver": driver,
+            "seed": seed,
+            **result_as_dict(result),
+            "wall_time": round(wall, 3),
+            "real_time_factor": round(result.ticks * 0.05 / wall, 2),
+            "recording": None if record is None else str(record),
+            "bag": None if record_bag is None else str(record_bag),
+        }
+        print(json_module.dumps(report) if json else summary(world, result, report["real_time_factor"], record))
+        if record_bag is not None and not json:
+            print(f"  bag: {record_bag}")
+        if viewer is not None:
+            stay(viewer)
     return 0 if result.outcome is Outcome.REACHED else 1
 
 
@@ -79,7 +92,7 @@ def summary(world: World, result: TrialResult, real_time_factor: float, record: 
         hit = result.contact
         lines.append(f"  touched {hit.obstacle} at ({hit.x:.2f}, {hit.y:.2f}) after {hit.time:.2f} s")
     if record is not None:
-        lines.append(f"  recording: {record}   open it with: rerun {record}")
+        lines.append(f"  recording: {record}   open it with: appli view {record}")
     return "\n".join(lines)
 
 
@@ -88,18 +101,18 @@ def _closest(clearance: float) -> str:
 
 
 def _run_watched(
-    spec: TrialSpec, world: World, record: Path | None, record_bag: Path | None, quiet: bool
+    spec: TrialSpec, world: World, record: Path | None, record_bag: Path | None, viewer: str | None, quiet: bool
 ) -> TrialResult:
     """Run with recorders and a progress line attached as asked; Ctrl-C closes the files first."""
     watchers: list[Callable[[Tick], Any]] = [] if quiet else [_progress]
+    recorded = record is not None or viewer is not None
     with blame(), ExitStack() as stack:  # closing a file can fail, too
-        if record is not None:
-            from twin.recording import Recorder
+        driver = make_driver(spec, explain=recorded)
+        if recorded:
+            from scenarios.recorded import open_recorder
 
             with blame():
-                metadata = recording_metadata(spec, world)
-                recorder = stack.enter_context(Recorder(record, world, metadata))
-            watchers.append(recorder.add)
+                watchers.append(stack.enter_context(open_recorder(spec, world, driver, record, viewer)).add)
         if record_bag is not None:
             from scenarios.bags.recording import BagRecorder
 
@@ -109,12 +122,7 @@ def _run_watched(
         if not quiet:
             stack.callback(lambda: print(file=sys.stderr))
         with blame():
-            return run_trial(spec, world, lambda tick: [watch(tick) for watch in watchers], explain=record is not None)
-
-
-def recording_metadata(spec: TrialSpec, world: World) -> dict[str, str | int]:
-    """What a recording says of itself."""
-    return {"world": world.name, "driver": spec.driver, "seed": spec.seed, "protocol": world.rules.protocol}
+            return run_trial(spec, world, lambda tick: [watch(tick) for watch in watchers], driver=driver)
 
 
 def _progress(tick: Tick) -> None:

@@ -58,6 +58,7 @@ ALLOWED: dict[str, tuple[str, ...]] = {
 # One doorway per heavy library: top-level package -> modules that may import it.
 DOORWAYS: dict[str, tuple[str, ...]] = {
     "rerun": ("twin.recording",),
+    "rerun_cli": ("twin.recording",),
     "torch": ("learning.evidential",),
     "cma": ("learning.fit",),
     "trimesh": ("twin.assets", "scenarios.imported"),

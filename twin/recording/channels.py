@@ -15,6 +15,8 @@ import rerun as rr
 
 from twin.geometry import distance
 from twin.recording import drawing, palette
+from twin.recording.judge import Judge
+from twin.recording.plots import evidence_entity
 from twin.records import Array, Pose2, Tick
 
 EVERY = 4  # ticks between two drawings of costmap, plan and candidate arcs
@@ -31,17 +33,22 @@ class Rows:
     columns: Any  # rr.ComponentColumnList
 
 
-def rows_of(ticks: Sequence[Tick], before: Tick | None) -> Iterator[Rows]:
-    """Everything that `ticks`, which follow `before`, add."""
-    yield from _scalars(ticks)
+def rows_of(ticks: Sequence[Tick], before: Tick | None, judge: Judge | None = None) -> Iterator[Rows]:
+    """Everything that `ticks` add; they follow `before`, if that is given."""
+    yield from _scalars(ticks, judge)
     yield from _states(ticks, before)
+    yield from _trail(ticks, before)
+    yield from _contacts(ticks)
+    yield from _events(ticks, before)
+    yield from drawings_of(ticks, before)
+
+
+def drawings_of(ticks: Sequence[Tick], before: Tick | None) -> Iterator[Rows]:
+    """What is drawn of `ticks` for the moment, and gone with the next."""
     yield from _poses(ticks, before)
     yield _scans(ticks)
     if flat := [tick for tick in ticks if tick.index % FLAT_SCAN_EVERY == 0]:
         yield _flat_scans(flat)
-    yield from _trail(ticks, before)
-    yield from _contacts(ticks)
-    yield from _events(ticks, before)
     if drawn := [tick for tick in ticks if tick.index % EVERY == 0]:
         yield _candidates(drawn)
         yield _chosen(drawn)
@@ -49,7 +56,13 @@ def rows_of(ticks: Sequence[Tick], before: Tick | None) -> Iterator[Rows]:
         yield _plans(drawn)
 
 
-def scalars_of(tick: Tick) -> Iterator[tuple[str, float]]:
+def phase_of(tick: Tick, phase: str, event: str) -> Iterator[Rows]:
+    """A phase that begins with `tick`: its lane, and its line in the log."""
+    yield Rows("phase", [tick], rr.StateChange.columns(state=[phase]))
+    yield Rows("events", [tick], rr.TextLog.columns(text=[event], level=[rr.TextLogLevel.INFO]))
+
+
+def scalars_of(tick: Tick, judge: Judge | None = None) -> Iterator[tuple[str, float]]:
     """(entity, value) of everything that is plotted for one tick."""
     decision = tick.decision
     commands = {"planner": decision.command, "human": tick.override, "applied": tick.applied}
@@ -64,6 +77,11 @@ def scalars_of(tick: Tick) -> Iterator[tuple[str, float]]:
         yield f"params/{name}", float(value)
     if decision.confidence is not None:
         yield "appli/confidence", decision.confidence
+        if judge is not None and judge.threshold is not None:
+            yield "appli/threshold", judge.threshold
+    if judge is not None:
+        for label, evidence in judge.evidence(tick.observation.scan).items():
+            yield evidence_entity(label), evidence
     if decision.arc is not None:
         yield "arc/cost", decision.arc.cost
         yield "arc/path_cells", decision.arc.path_cells
@@ -76,9 +94,10 @@ def scalars_of(tick: Tick) -> Iterator[tuple[str, float]]:
 def events_of(tick: Tick, before: Tick | None) -> Iterator[tuple[str, str]]:
     """(text, level) of what happened at one tick that is worth a line in the log."""
     decision = tick.decision
-    if before is None:
+    if tick.index == 0:
         yield f"start, {distance(tick.observation.pose, tick.observation.goal):.1f} m to the goal", rr.TextLogLevel.INFO
-    if decision.recoveries > (0 if before is None else before.decision.recoveries):
+    earlier = 0 if tick.index == 0 else decision.recoveries if before is None else before.decision.recoveries
+    if decision.recoveries > earlier:
         yield f"recovery {decision.recoveries}: {decision.state}", rr.TextLogLevel.WARN
     if before is not None and decision.context != before.decision.context:
         yield f"context {before.decision.context} -> {decision.context}", rr.TextLogLevel.INFO
@@ -113,10 +132,10 @@ def style_drawings(stream: Any) -> None:
     stream.send_columns("world/local_costmap", [], rr.GridMap.columns(opacity=[0.99]))
 
 
-def _scalars(ticks: Sequence[Tick]) -> Iterator[Rows]:
+def _scalars(ticks: Sequence[Tick], judge: Judge | None) -> Iterator[Rows]:
     found: dict[str, tuple[list[Tick], list[float]]] = {}
     for tick in ticks:
-        for name, value in scalars_of(tick):
+        for name, value in scalars_of(tick, judge):
             at, values = found.setdefault(name, ([], []))
             at.append(tick)
             values.append(value)
@@ -165,13 +184,17 @@ def _flat_scans(ticks: Sequence[Tick]) -> Rows:
 
 
 def _trail(ticks: Sequence[Tick], before: Tick | None) -> Iterator[Rows]:
-    """The stretch driven since the tick before, coloured by the context that drove it."""
+    """The stretch driven since the tick before, coloured by the context that drove it, or as a person's."""
     moved = [(a, b) for a, b in _steps(ticks, before) if a is not None and a.true_pose != b.true_pose]
     if moved:
         strips = np.array([[(p.x, p.y, 0.02) for p in (a.true_pose, b.true_pose)] for a, b in moved], np.float32)
-        colours = [palette.context_colour(a.decision.context) for a, _ in moved]
+        colours = [_driver_colour(a) for a, _ in moved]
         columns = rr.LineStrips3D.columns(strips=strips, colors=np.array(colours, np.uint8))
         yield Rows("world/trail", [b for _, b in moved], columns)
+
+
+def _driver_colour(tick: Tick) -> palette.RGB:
+    return palette.HUMAN if tick.override is not None else palette.context_colour(tick.decision.context)
 
 
 def _contacts(ticks: Sequence[Tick]) -> Iterator[Rows]:

@@ -49,9 +49,17 @@ STATES: dict[str, RGB] = {
     "aborted": (150, 40, 60),
 }
 
+PHASES: dict[str, RGB] = {  # of an intervention
+    "default": CONTEXTS[DEFAULT_CONTEXT],
+    "rewound": (176, 132, 60),
+    "demonstration": (190, 84, 168),
+}
+
 MEASURED: RGB = (92, 184, 255)
 COMMANDED: RGB = (255, 214, 102)
-HUMAN: RGB = (255, 120, 117)
+HUMAN: RGB = (255, 134, 229)  # also of the trail where a person drives
+APPLIED: RGB = (74, 86, 104)
+THRESHOLD: RGB = (255, 214, 102)
 CLEARANCE: RGB = (99, 230, 150)
 CONFIDENCE: RGB = (164, 133, 255)
 
@@ -66,7 +74,7 @@ PARAMETERS: tuple[RGB, ...] = (
     (255, 214, 102),
 )
 
-_SPARE: tuple[RGB, ...] = ((233, 128, 252), (130, 201, 30), (34, 184, 207), (250, 176, 5), (116, 143, 252))
+_SPARE: tuple[RGB, ...] = ((192, 160, 120), (130, 201, 30), (34, 184, 207), (250, 176, 5), (116, 143, 252))
 
 
 def obstacle_colour(style: str) -> RGB:

@@ -92,7 +92,7 @@ def _chunks(path: Path) -> list[Any]:
             warnings.simplefilter("ignore")  # a file cut short has no footer; that is no news to whoever reads it
             return list(RrdReader(path).stream().to_chunks())
     except Exception as error:  # Rerun raises several kinds
-        reason = str(error).splitlines()[0]
+        reason = str(error).splitlines()[0].removeprefix(f"Failed to read RRD file at {path}: ")
         raise RecordingError(f"cannot read the recording {path}: {reason}") from error
 
 
