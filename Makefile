@@ -62,7 +62,7 @@ reference: $(READY)
 
 # Drawn without a screen, by EGL or OSMesa. ONLY="robot drive" makes these alone; the figures of the report and, where
 # there is a chromium, the teleop page come with all of them.
-pictures: export MUJOCO_GL ?= egl
+pictures: export MUJOCO_GL ?= $(if $(filter Linux,$(shell uname)),egl)
 pictures: $(READY)
 	$(BIN)/python -m scenarios.pictures docs/pictures $(ONLY)
 ifeq ($(ONLY),)

@@ -78,7 +78,7 @@ def film(ticks: Sequence[Tick]) -> list[Image.Image]:
     frames, yaw = [], ticks[0].true_pose.yaw
     turn = np.linspace(0.0, math.tau, 60)
     circle = np.column_stack([world.goal.x + RADIUS * np.cos(turn), world.goal.y + RADIUS * np.sin(turn)])
-    with Stage(world, COURSE, shadows=24.0) as above, Stage(world, BEHIND, shadows=5.0) as behind:
+    with Stage(world, COURSE, 24.0, fine=4096) as above, Stage(world, BEHIND, 5.0, fine=2048) as behind:
         above.hide_goal()
         behind.hide_goal()
         for k in shown:

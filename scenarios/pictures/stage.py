@@ -52,16 +52,16 @@ class View:
 class Stage:
     """One world with its robot, photographed as often as needed. Close it, or use it in a `with`."""
 
-    def __init__(self, world: World, size: tuple[int, int], shadows: float = 12.0, samples: int = SAMPLES) -> None:
-        """Pictures have `size` [px]; shadows fall within `shadows` metres of the robot."""
+    def __init__(self, world: World, size: tuple[int, int], shadows: float = 12.0, fine: int = 8192) -> None:
+        """Pictures have `size` [px]; shadows fall within `shadows` metres of the robot, on a map of `fine` squared."""
         self.size = size
         self._model = compile_world(world)
         self._data = mujoco.MjData(self._model)
         self._robot = RobotHandles.resolve(self._model)
-        width, height = size[0] * samples, size[1] * samples
+        width, height = size[0] * SAMPLES, size[1] * SAMPLES
         view = self._model.vis.global_
         view.offwidth, view.offheight = width, height
-        self._model.vis.quality.shadowsize = 8192
+        self._model.vis.quality.shadowsize = fine
         self._model.vis.map.shadowclip = shadows / self._model.stat.extent
         self._renderer = mujoco.Renderer(self._model, height, width)
 

@@ -47,18 +47,40 @@ with Stage(world, size) as stage:
 """
 
 
-def test_points_land_where_the_camera_sees_them() -> None:
+FILMED = """
+from itertools import islice
+import numpy as np
+from scenarios.pictures import animation
+from scenarios.trials import TrialSpec, make_driver, make_simulation
+from scenarios.worlds import load_world
+from twin.rollout import rollout
+
+spec = TrialSpec("training", driver="theta:B1")
+ticks = list(islice(rollout(make_simulation(spec, load_world(spec.world)), make_driver(spec)), animation.TICKS))
+frames = [np.asarray(frame) for frame in animation.film(ticks)]
+assert len(frames) == 2
+assert all(frame.shape == (animation.SIZE[1], animation.SIZE[0], 3) for frame in frames)
+assert not np.array_equal(frames[0], frames[-1])
+"""
+
+
+@pytest.fixture(scope="module")
+def drawing() -> dict[str, str]:
+    """An environment in which MuJoCo draws without a screen."""
     code = "import mujoco; c = mujoco.GLContext(8, 8); c.make_current(); c.free()"
     for backend in ("egl", "osmesa"):
         environment = {**os.environ, "MUJOCO_GL": backend, "PYTHONPATH": str(ROOT)}
-        if subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, check=False).returncode:
-            continue
-        done = subprocess.run(
-            [sys.executable, "-c", SEEN], env=environment, capture_output=True, text=True, check=False
-        )
-        assert done.returncode == 0, done.stderr
-        return
+        if not subprocess.run(
+            [sys.executable, "-c", code], env=environment, capture_output=True, check=False
+        ).returncode:
+            return environment
     pytest.skip("neither EGL nor OSMesa can draw here")
+
+
+@pytest.mark.parametrize("code", [SEEN, FILMED], ids=["points land where the camera sees them", "the film is shot"])
+def test_without_a_screen(code: str, drawing: dict[str, str]) -> None:
+    done = subprocess.run([sys.executable, "-c", code], env=drawing, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize("name", ["training", "unseen", "barn-like/3"])

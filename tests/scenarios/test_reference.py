@@ -13,9 +13,7 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "commands.md"
 
 
 def test_the_page_is_current() -> None:
-    assert PAGE.read_text(encoding="utf-8") == reference(), (
-        "the command line changed; write it with: make reference"
-    )
+    assert PAGE.read_text(encoding="utf-8") == reference(), "the command line changed; write it with: make reference"
 
 
 @pytest.mark.parametrize("width", ["40", "200"])
