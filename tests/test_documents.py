@@ -29,6 +29,11 @@ def test_there_are_commands() -> None:
     assert {c.words[1] for c in APPLI} >= set(COMMANDS) - {"demo", "view"}, "a command that no page shows"
 
 
+def test_the_readme_leads_to_every_page() -> None:
+    readme = PAGES[0].read_text(encoding="utf-8")
+    assert [page.name for page in PAGES[1:] if f"](docs/{page.name})" not in readme] == []
+
+
 @pytest.mark.parametrize("shown", APPLI, ids=str)
 def test_every_command_parses(shown: Shown) -> None:
     parse(list(shown.words[1:]))
