@@ -1,16 +1,15 @@
-"""Where is a policy's classifier sure of itself? `python examples/confidence.py POLICY [SEEDS]`
+"""Where is a policy's classifier sure of itself? `python examples/confidence.py results/policies/A+B+c.safetensors 5`
 
 Drives training and unseen with the policy and sorts the scans by the place they were taken in: in a place named after
 one of the policy's contexts it should be right and confident, elsewhere it should not be confident.
 """
 
-from __future__ import annotations
-
-import sys
 from collections import defaultdict
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+import tyro
 
 from learning.intervener import segment_at
 from learning.policy_file import load_policy
@@ -19,7 +18,10 @@ from scenarios.worlds import load_world
 from twin.records import Tick
 
 
-def main(path: str, seeds: int) -> None:
+def main(
+    path: Annotated[str, tyro.conf.Positional] = "results/policies/A+B+c.safetensors",
+    seeds: Annotated[int, tyro.conf.Positional] = 1,  # drives of each course
+) -> None:
     """Print a line per place."""
     policy = load_policy(Path(path))
     assert policy.classifier is not None
@@ -46,4 +48,4 @@ def main(path: str, seeds: int) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], int(sys.argv[2]) if len(sys.argv) > 2 else 3)
+    tyro.cli(main)

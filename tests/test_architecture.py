@@ -31,6 +31,10 @@ ALLOWED: dict[str, tuple[str, ...]] = {
         "twin.geometry",
         "twin.planner.obstacle_memory",  # an observation holds what the obstacle layers remember
     ),
+    "twin.environment": (
+        *("twin.rollout", "twin.simulation", "twin.world", "twin.records", "twin.geometry"),
+        *("twin.planner.move_base", "twin.planner.params"),
+    ),
     "twin.rewind": ("twin.rollout", "twin.simulation", "twin.records"),
     "twin.rollout": ("twin.simulation", "twin.world", "twin.records", "twin.geometry"),
     "twin.recording": (
@@ -60,7 +64,7 @@ DOORWAYS: dict[str, tuple[str, ...]] = {
     "rerun": ("twin.recording",),
     "rerun_cli": ("twin.recording",),
     "torch": ("learning.evidential",),
-    "cma": ("learning.fit",),
+    "cma": ("learning.fit", "scenarios.headroom"),  # Eq. 1; and a diagnosis that is no part of learning
     "trimesh": ("twin.assets", "scenarios.imported"),
     "distributed": ("scenarios.sweep",),
     "dask": ("scenarios.sweep",),
@@ -72,6 +76,7 @@ DOORWAYS: dict[str, tuple[str, ...]] = {
     ),
     "websockets": ("scenarios.surfaces.web_guard",),
     "dm_control": ("twin.arena", "twin.robot"),
+    "dm_env": ("twin.environment",),
     "rosbags": ("scenarios.bags.files",),
 }
 

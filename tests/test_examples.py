@@ -1,55 +1,125 @@
-"""The scripts in examples/ run."""
+"""The scripts in examples/ run from the command line, say what they are there to say, and draw it."""
 
 from __future__ import annotations
 
-import importlib.util
 import json
+import re
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
+from PIL import Image
 
-from scenarios.trials import TrialSpec
-from twin.planner.params import PARAMETER_NAMES, ParameterSpace, PlannerParams
+from scenarios import load_world
+from twin.planner.params import PARAMETER_NAMES
 
-HEADROOM = Path(__file__).resolve().parents[1] / "examples" / "headroom.py"
-WORLDS = 12
-
-
-def headroom(*options: str) -> subprocess.CompletedProcess[str]:
-    """Run it with one worker."""
-    command = [sys.executable, str(HEADROOM), "--workers", "1", *options]
-    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+ROOT = Path(__file__).resolve().parents[1]
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+LONGEST = 59  # lines of a script
 
 
-@pytest.fixture(name="script")
-def _script(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """The script as a module, in which a drive takes ten times the distance to the middle of the unit cube."""
-    spec = importlib.util.spec_from_file_location("headroom", HEADROOM)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, "headroom", module)
-    spec.loader.exec_module(module)
-    driven: list[TrialSpec] = []
+def run(name: str, *options: str | Path, code: int = 0) -> subprocess.CompletedProcess[str]:
+    """Run an example as the README shows it."""
+    command = [sys.executable, f"examples/{name}.py", *map(str, options)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == code, done.stderr
+    return done
 
-    def drive(trial: TrialSpec) -> tuple[float, bool]:
-        driven.append(trial)
-        noise = np.random.default_rng(int(trial.world.split("/")[1])).normal()
-        return 20.0 + noise + 10.0 * float(np.linalg.norm(ParameterSpace().encode(trial.params) - 0.5)), True
 
-    monkeypatch.setattr(module, "drive", drive)
-    monkeypatch.setattr(module, "driven", driven, raising=False)
-    return module
+def numbers(line: str) -> list[float]:
+    """All numbers in a line, but for those within names."""
+    return [float(word) for word in re.findall(r"(?<![\w/.])-?\d+(?:\.\d+)?", line)]
+
+
+def assert_drawn(plot: Path) -> None:
+    """There is a picture, with ink on it and with room left."""
+    with Image.open(plot) as image:
+        grey = np.asarray(image.convert("L"))
+    assert min(grey.shape) > 250
+    assert 0.002 < (grey < 250).mean() < 0.6
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_every_example_is_short_tested_and_shown_in_the_readme(path: Path) -> None:
+    assert len(path.read_text(encoding="utf-8").splitlines()) <= LONGEST
+    assert f'run("{path.stem}"' in Path(__file__).read_text(encoding="utf-8")
+    assert f"examples/{path.name}" in (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_drive_a_world(tmp_path: Path) -> None:
+    plots = tmp_path / "new" / "slow.png", tmp_path / "fast.png"
+    slow = run("drive_a_world", "open", "--max-vel-x", "0.3", "--plot", plots[0]).stdout.splitlines()
+    fast = run("drive_a_world", "open", "--max-vel-x", "1.0", "--plot", plots[1]).stdout.splitlines()
+    assert slow[0].startswith("open: reached after")
+    assert numbers(fast[0])[0] < 0.5 * numbers(slow[0])[0]  # [s]
+    assert 0.25 < numbers(slow[1])[0] <= 0.3  # [m/s]
+    for plot in plots:
+        assert_drawn(plot)
+
+
+def test_own_driver(tmp_path: Path) -> None:
+    lines = run("own_driver", "barn-like/0", "--plot", tmp_path / "drivers.png").stdout.splitlines()
+    (theirs, own) = (line.split() for line in lines[:2])
+    assert theirs[:2] == ["move_base", "reached"]
+    assert own[:4] == ["follow", "the", "gap", "reached"]
+    assert float(own[4]) < float(theirs[2])  # [s] it never hesitates
+    assert_drawn(tmp_path / "drivers.png")
+
+
+def test_fit_intervention(tmp_path: Path) -> None:
+    said = run("fit_intervention", "--evaluations", "60", "--steps", "30", "--plot", tmp_path / "fit.png").stdout
+    shown, default, fitted = said.splitlines()[:3]
+    _, _, default_error, error = numbers(shown)
+    assert error < 0.3 * default_error
+    assert default.startswith("default reached")
+    assert fitted.startswith("fitted  reached")
+    assert numbers(fitted)[0] < 0.3 * numbers(default)[0]  # [s]
+    assert float(re.search(r"max_vel_x (\S+),", fitted)[1]) == pytest.approx(0.8, abs=0.1)  # type: ignore[index]
+    assert_drawn(tmp_path / "fit.png")
+
+
+def test_evaluate_policy(tmp_path: Path) -> None:
+    lines = run("evaluate_policy", "--worlds", "3", "--plot", tmp_path / "policy.png").stdout.splitlines()
+    table = {line.split()[0]: line.split()[1:] for line in lines[:-1]}
+    assert set(table) == {"world", "barn-like/0", "barn-like/150", "barn-like/299", "mean", "arrived"}
+    times = np.array([[float(word) for word in row] for name, row in table.items() if name.startswith("barn")])
+    assert ((times > 5.0) & (times <= 50.0)).all()
+    assert (times[:, 0] != times[:, 1]).any()  # it is the policy that drives
+    np.testing.assert_allclose([float(word) for word in table["mean"]], times.mean(axis=0), atol=0.1)
+    assert table["arrived"][0] == "100%"
+    assert_drawn(tmp_path / "policy.png")
+
+
+def test_scanned_room(tmp_path: Path) -> None:
+    plot = tmp_path / "room.png"
+    lines = run("scanned_room", "--plot", plot).stdout.splitlines()
+    assert lines[1].startswith("reached after")
+    assert 0.0 < numbers(lines[1])[1] < 0.5  # [m] it came past the partition
+    assert_drawn(plot)
+    mesh = load_world(str(tmp_path / "room.ply"), start="1,1,0", goal="5,3").obstacles[0]
+    assert np.ptp(mesh.vertices[:, :2], axis=0) == pytest.approx([6.2, 4.2], abs=0.1)  # type: ignore[union-attr]
+    again = run("scanned_room", "--mesh", tmp_path / "room.ply", "--start=1,3,0", "--goal=3.6,3", "--plot", plot).stdout
+    assert "reached after" in again
+    assert numbers(again.splitlines()[1])[0] < numbers(lines[1])[0]  # a shorter way, straight ahead
+
+
+def test_confidence() -> None:
+    header, *rows = run("confidence", "results/policies/A+B+c.safetensors", "1").stdout.splitlines()
+    assert header.split()[:5] == ["world", "place", "steps", "confidence", "confident"]
+    assert {tuple(row.split()[:2]) for row in rows} >= {
+        (world, f"{kind}1") for world in ("training", "unseen") for kind in "AB"
+    }
+    for row in rows:
+        steps, mean, share = (float(word) for word in row.split()[2:5])
+        assert steps > 0
+        assert 0.0 < mean <= 1.0
+        assert 0.0 <= share <= 1.0
 
 
 def test_headroom_in_the_open() -> None:
-    done = headroom("--worlds", "open", "--evaluations", "2", "--json")
-    assert done.returncode == 0, done.stderr
+    done = run("headroom", "--workers", "1", "--worlds", "open", "--evaluations", "2", "--json")
     report = json.loads(done.stdout)
     assert tuple(report["params"]) == PARAMETER_NAMES
     assert report["drives"] == 3
@@ -63,42 +133,6 @@ def test_headroom_in_the_open() -> None:
 
 
 def test_headroom_refuses_an_unknown_world_in_one_line() -> None:
-    done = headroom("--worlds", "opn")
-    assert done.returncode == 2
+    done = run("headroom", "--workers", "1", "--worlds", "opn", code=2)
     assert done.stderr.startswith("headroom: unknown world")
     assert len(done.stderr.splitlines()) == 1
-
-
-def test_the_search_finds_the_optimum_and_repeats(script: ModuleType) -> None:
-    options = script.Options(worlds=str(WORLDS), evaluations=200)
-    found = []
-    with ThreadPoolExecutor(1) as pool:
-        for _ in range(2):
-            script.driven.clear()
-            found.append(script.search(pool, script.default_trials(options, 0, 1), options)["params"])
-    assert found[0] == found[1]
-    assert np.linalg.norm(ParameterSpace().encode(found[0]) - 0.5) < 0.2
-    assert len({trial.params for trial in script.driven}) <= options.evaluations
-    assert len(script.driven) < options.evaluations * WORLDS  # some stopped early
-
-
-def test_what_loses_the_first_third_is_judged_by_it(script: ModuleType) -> None:
-    trials = script.default_trials(script.Options(worlds=str(WORLDS)), 0, 1)
-    middle = ParameterSpace().decode(np.full(8, 0.5))
-    with ThreadPoolExecutor(1) as pool:
-        (best,) = script.drive_all(pool, trials, [{"params": middle}])[0]
-        script.driven.clear()
-        lost, again = script.race(pool, trials, [{"params": PlannerParams()}, {"params": middle}], best)
-        assert len(script.driven) == WORLDS // 3 + WORLDS
-        full = script.drive_all(pool, trials, [{"params": PlannerParams()}])[0, 0]
-    np.testing.assert_allclose(lost, full)  # here the loss is the same everywhere
-    np.testing.assert_allclose(again, best)
-
-
-def test_search_and_comparison_meet_the_same_worlds_and_never_the_same_noise(script: ModuleType) -> None:
-    options = script.Options(worlds="4,training", runs=2)
-    search, fresh = script.default_trials(options, 0, 1), script.default_trials(options, 1, 4)
-    assert {trial.world for trial in search} == {trial.world for trial in fresh}
-    assert {trial.world for trial in search} == {"training", *(f"barn-like/{k}" for k in (0, 100, 199, 299))}
-    assert (len(search), len(fresh)) == (10, 30)
-    assert not {(t.world, t.run) for t in search} & {(t.world, t.run) for t in fresh}

@@ -5,15 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from matplotlib.collections import LineCollection, PatchCollection
-from matplotlib.patches import Circle, Polygon
+from matplotlib.collections import LineCollection
 
 from scenarios.report.drives import Trail
+from scenarios.report.figures.floor_plan import draw_ends, draw_obstacles, extent
 from scenarios.report.figures.style import context_colours, drawing, panel
-from scenarios.report.picture import INK, Panel
-from twin.geometry import transform_points
-from twin.records import Pose2
-from twin.world import Box, Cylinder, World
+from scenarios.report.picture import Panel
+from twin.world import World
 
 WIDTH = 5.4  # [in]
 SHORT = 1.2  # [m] of a context that gets no label
@@ -21,11 +19,11 @@ SHORT = 1.2  # [m] of a context that gets no label
 
 def map_panel(world: World, trail: Trail) -> Panel:
     """The world, and the drive coloured by context."""
-    size = np.ptp(np.concatenate([_extent(world), trail.points]), axis=0) + 1.0
+    size = np.ptp(np.concatenate([extent(world), trail.points]), axis=0) + 1.0
     labels = sorted(set(trail.contexts), key=lambda name: (name != "default", name))
     colours = context_colours(labels)
     with drawing(WIDTH, float(np.clip((WIDTH - 0.6) * size[1] / size[0], 1.2, 6.0)) + 0.8) as (figure, axes):
-        axes.add_collection(PatchCollection(_patches(world), facecolor=INK, edgecolor=INK, linewidth=0.6, alpha=0.4))
+        draw_obstacles(axes, world)
         points = trail.points
         lines: Any = np.stack([points[:-1], points[1:]], axis=1)
         for start, end, label in _stretches(trail):
@@ -33,13 +31,7 @@ def map_panel(world: World, trail: Trail) -> Panel:
             axes.add_collection(LineCollection(lines[start:end], capstyle="round", **style))
         for label in labels:
             _name(axes, trail, label, colours[label])
-        for pose, word, mark, large in ((world.start, "start", "o", 5), (world.goal, "goal", "*", 9)):
-            axes.plot(pose.x, pose.y, mark, color=INK, markersize=large)
-            place = {"xytext": (0, -8), "textcoords": "offset points"}
-            axes.annotate(word, (pose.x, pose.y), **place, ha="center", va="top", size=8)
-        axes.set_aspect("equal")
-        axes.autoscale_view()
-        axes.set(xlabel="x [m]", ylabel="y [m]")
+        draw_ends(axes, world)
         handles = [axes.plot([], [], color=colours[label], linewidth=3)[0] for label in labels]
         figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), fontsize=8, handlelength=1.2)
         title = f"{world.name}, {trail.row.method}, run {trail.row.run}: contexts along the drive"
@@ -66,23 +58,3 @@ def _name(axes: Any, trail: Trail, label: str, colour: str) -> None:
         return
     middle = trail.points[(start + end) // 2]
     axes.annotate(label, middle, xytext=(5, 5), textcoords="offset points", color=colour, weight="bold", size=9)
-
-
-def _patches(world: World) -> list[Any]:
-    patches: list[Any] = []
-    for obstacle in world.obstacles:
-        if isinstance(obstacle, Box):
-            half = np.array([obstacle.length, obstacle.width]) / 2
-            corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * half
-            patches.append(Polygon(transform_points(Pose2(obstacle.x, obstacle.y, obstacle.yaw), corners)))
-        elif isinstance(obstacle, Cylinder):
-            patches.append(Circle((obstacle.x, obstacle.y), obstacle.radius))
-        else:
-            patches += [Polygon(obstacle.vertices[face, :2]) for face in obstacle.faces]
-    return patches
-
-
-def _extent(world: World) -> Any:
-    """(n, 2) points that the picture must hold."""
-    centres = [(o.x, o.y) for o in world.obstacles if isinstance(o, (Box, Cylinder))]
-    return np.array([*centres, (world.start.x, world.start.y), (world.goal.x, world.goal.y)])
