@@ -80,6 +80,20 @@ def test_equal_seeds_give_equal_episodes_and_others_other_noise() -> None:
     assert not np.array_equal(scans(5), scans(6))
 
 
+def test_worlds_take_turns_and_a_reset_begins_the_next() -> None:
+    environment = Environment([FREE, POST])
+    assert environment.world is FREE
+    seen = []
+    for _ in range(3):
+        environment.reset()
+        environment.step(DEFAULT)
+        seen.append(environment.world)
+    assert seen == [FREE, POST, FREE]
+    drive(environment, DEFAULT)
+    assert environment.step(DEFAULT).first()
+    assert environment.world is FREE
+
+
 def test_theta_is_what_drives() -> None:
     slow, fast = (len(drive(Environment(FREE, Task(ticks=1)), vector(max_vel_x=v))) for v in (0.3, 1.0))
     assert fast < 0.7 * slow  # short: most of it is speeding up
@@ -101,6 +115,7 @@ def test_the_reward_is_progress_time_and_how_it_ended() -> None:
     steps = drive(hit, FORWARD)
     assert hit.ticks[-1].outcome is Outcome.COLLIDED
     assert steps[-1].reward == pytest.approx(-51.0, abs=0.5)
+    assert [step.discount for step in steps[1:]] == [1.0] * (len(steps) - 2) + [0.0]
     stuck = Environment(FREE, COMMANDS)
     steps = drive(stuck, np.zeros(2))
     assert stuck.ticks[-1].outcome is Outcome.TIMED_OUT
@@ -110,6 +125,14 @@ def test_the_reward_is_progress_time_and_how_it_ended() -> None:
 def ticks(steps: list[dm_env.TimeStep]) -> float:
     """Of an episode with four in a step, to within one step."""
     return 4.0 * (len(steps) - 1)
+
+
+def test_time_is_charged_to_the_tick() -> None:
+    free = RewardWeights(progress=0.0, collision=0.0, failure=0.0)
+    environment = Environment(FREE, Task("command", 7, free))
+    steps = drive(environment, FORWARD)
+    assert len(environment.ticks) < 7, "the last step is whole: choose another number of ticks"
+    assert sum(step.reward for step in steps[1:]) == pytest.approx(-environment.ticks[-1].elapsed)
 
 
 def test_weights_scale_their_parts() -> None:
