@@ -15,6 +15,7 @@ from rerun.chunk import RrdReader
 from tests.test_recording import rerun
 from tests.ticks import WORLD, drive
 from twin.recording import Recorder, RecordingError, Viewer, ViewerError, read_recording, write_comparison
+from twin.recording.comparison import first_tick
 from twin.recording.viewer import LOOPBACK, viewer_program
 from twin.world import World
 
@@ -44,6 +45,9 @@ def test_a_comparison_holds_all_of_both(tmp_path: Path) -> None:
         for name, lane in alone.lanes.items():
             assert found.lanes[side + name] == lane
     reader = RrdReader(both)
+    order = [(first_tick(chunk), chunk.entity_path[:3]) for chunk in reader.stream().to_chunks()]
+    begins = [tick for tick, side in order if side in ("/a/", "/b/")]
+    assert begins == sorted(begins), "both sides come in together"
     assert len(reader.recordings()) == 1
     assert len(reader.blueprints()) == 1
     applications = {store.application_id for store in (*reader.recordings(), *reader.blueprints())}

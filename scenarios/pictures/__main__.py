@@ -14,7 +14,7 @@ from PIL import Image
 
 from scenarios.pictures.animation import animation
 from scenarios.pictures.intervention import intervention
-from scenarios.pictures.recording import CannotShowError, recording
+from scenarios.pictures.recording import CannotShowError, comparison, recording, rewind
 from scenarios.pictures.worlds import barn, course, robot
 
 POLICY = Path("results/policies/A+B+c.safetensors")
@@ -35,6 +35,8 @@ PICTURES: dict[str, Callable[[], bytes]] = {
     "intervention.png": lambda: png(intervention()),
     "drive.webp": lambda: animation(POLICY),
     "recording.png": lambda: recording(POLICY),
+    "comparison.png": lambda: comparison(POLICY),
+    "rewind.png": rewind,
 }
 
 
