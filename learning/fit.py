@@ -4,8 +4,9 @@
     where (v', w') = G(x; theta)
 
 The search space is the unit cube that `ParameterSpace` maps to parameters. Searches start from different points; the
-last one starts, with small steps, at the best of what they found. The default parameters always compete, so no fit is
-worse than the default on its own data.
+last one starts, with small steps, at the best of what they found. Of all that was as good as the best, the parameters
+nearest to the default are taken: what the demonstrations leave open stays as it was. The default parameters always
+compete, so no fit is worse than the default on its own data.
 """
 
 from __future__ import annotations
@@ -50,6 +51,7 @@ class FitSettings:
     max_evaluations: int = 3000  # of the sum, by all searches together (12 x 800)
     patience: int = 15  # a search ends after so many generations without progress (tolfun 1e-11)
     min_progress: float = 1e-3  # as a share of the default's loss; less in one generation is no progress
+    modesty: float = 0.02  # this share of what the best gained is given up for being nearer to the default (0)
     seed: int = 0
     space: ParameterSpace = field(default_factory=ParameterSpace)
     planner: PlannerSettings = DEFAULT_SETTINGS
@@ -65,6 +67,8 @@ class FitSettings:
         for name, low in least.items():
             if getattr(self, name) < low:
                 raise ValueError(f"{name} must be at least {low}, not {getattr(self, name)}")
+        if not 0.0 <= self.modesty < 1.0:
+            raise ValueError(f"modesty must be in [0, 1), not {self.modesty}")
         for name in ("sigma", "last_sigma"):
             if not 0.0 < getattr(self, name) <= 1.0:
                 raise ValueError(f"{name} must be in (0, 1], not {getattr(self, name)}")
@@ -129,7 +133,7 @@ def fit(
         flatness = fitting.flatness()
     except KeyboardInterrupt:
         interrupted = True
-    thetas = [DEFAULT_THETA, *fitting.found]
+    thetas = [DEFAULT_THETA, fitting.chosen()]
     actions = _judge(steps, fitting.sample, thetas, settings.planner)
     losses = [_loss(a, steps.actions, settings) for a in actions]
     best = losses.index(min(losses))
@@ -179,6 +183,7 @@ class _Fitting:
         self._demonstrated = few.actions
         self._scale = len(steps) / len(few)
         self.found: list[PlannerParams] = []  # the best of each search so far
+        self.seen: list[tuple[float, PlannerParams]] = []  # everything the searches have looked at
         self.evaluations = 0
         self.curve: list[tuple[int, int, float]] = []
 
@@ -189,6 +194,16 @@ class _Fitting:
     def best_theta(self) -> PlannerParams:
         """The best of what the searches have found, and of the default."""
         return min([DEFAULT_THETA, *self.found], key=self.loss)
+
+    def chosen(self) -> PlannerParams:
+        """Of all that was seen and is as good as the best, the one nearest to the default in the unit cube."""
+        space, default = self.settings.space, self.loss(DEFAULT_THETA)
+        seen = [*self.seen, (default, DEFAULT_THETA)]
+        best = min(loss for loss, _ in seen)
+        allowed = best + self.settings.modesty * (default - best)
+        origin = space.encode(DEFAULT_THETA)
+        near = [(float(np.linalg.norm(space.encode(theta) - origin)), loss, theta) for loss, theta in seen]
+        return min((n for n in near if n[1] <= allowed), key=lambda n: n[:2])[2]
 
     def run(self) -> None:
         """All searches."""
@@ -216,6 +231,7 @@ class _Fitting:
             before, losses = best, []
             for theta in (settings.space.decode(np.asarray(p)) for p in points):
                 losses.append(self.loss(theta))
+                self.seen.append((losses[-1], theta))
                 self.evaluations += 1
                 if losses[-1] < best:
                     best = losses[-1]
@@ -227,8 +243,8 @@ class _Fitting:
             stale = 0 if best < before - enough else stale + 1
 
     def flatness(self) -> dict[str, tuple[float, float]]:
-        """For each parameter the values round the best that cost almost nothing while the other seven stay."""
-        settings, best_theta = self.settings, self.best_theta()
+        """For each parameter the values round the chosen that cost almost nothing while the other seven stay."""
+        settings, best_theta = self.settings, self.chosen()
         best, default = self.loss(best_theta), self.loss(DEFAULT_THETA)
         allowed = best + settings.flatness * max(best, default - best)
         ranges = {}

@@ -200,7 +200,7 @@ def test_ctrl_c_keeps_the_best_so_far(after: int) -> None:
         if evaluations == after:
             raise KeyboardInterrupt
 
-    result = fit(demonstrated(seen(8), published_parameters()["B2"]), FitSettings(), press)
+    result = fit(demonstrated(seen(8), published_parameters()["B2"]), FitSettings(modesty=0.0), press)
     assert result.interrupted
     assert result.evaluations == after
     assert result.loss == pytest.approx(best)
@@ -218,6 +218,16 @@ def test_flatness_surrounds_theta_and_tells_what_the_data_do_not_determine() -> 
     assert fit(taught, QUICK).flatness == {
         n: (low, high) for n, low, high in zip(PARAMETER_NAMES, space.lower, space.upper, strict=True)
     }
+
+
+def test_among_equally_good_parameters_those_nearest_to_the_default_are_taken() -> None:
+    taught = demonstrated(seen(8), published_parameters()["B2"])
+    best, modest = (fit(taught, replace(QUICK, max_evaluations=200, modesty=m)) for m in (0.0, 0.1))
+    space, default = ParameterSpace(), ParameterSpace().encode(DEFAULT)
+    far, near = (float(np.linalg.norm(space.encode(r.theta) - default)) for r in (best, modest))
+    assert near < far
+    assert best.loss < modest.loss <= best.loss + 0.1 * (best.default_loss - best.loss) + 1e-9
+    assert modest.curve.tolist() == best.curve.tolist()  # the search is the same
 
 
 def test_several_interventions_of_one_context_are_one_sum() -> None:
@@ -246,6 +256,7 @@ def test_without_labelled_steps_there_is_nothing_to_learn() -> None:
         ({"population": 3}, "population must be at least 4"),
         ({"max_steps": 0}, "max_steps"),
         ({"sigma": 0.0}, "sigma"),
+        ({"modesty": 1.0}, "modesty"),
         ({"start": "here"}, "start must be one of"),
     ],
 )
