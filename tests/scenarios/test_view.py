@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ from PIL import Image
 
 from scenarios import screenshots, view
 from scenarios.cli import main
+from tests.test_recording import rerun
 from tests.ticks import WORLD, drive
 from twin.recording import Recorder
 from twin.recording.viewer import has_display
@@ -111,6 +113,24 @@ def test_a_page_of_two_recordings_until_ctrl_c(
     assert stop.value.code == 0
     assert "open http://127.0.0.1:" in capsys.readouterr().err
     assert not shown[0].exists(), "the comparison is gone with its page"
+
+
+def test_a_run_is_the_same_whether_it_is_watched_or_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stayed: list[str | None] = []
+    monkeypatch.setattr(view, "stay", lambda viewer: stayed.append(viewer.page))
+    digests = []
+    for name, options in (("alone", []), ("watched", ["--view", "--web"])):
+        with pytest.raises(SystemExit) as stop:
+            main(["run", "open", "--json", "--record", str(tmp_path / f"{name}.rrd"), *options])
+        assert stop.value.code == 0
+        said = capsys.readouterr()
+        digests.append(json.loads(said.out)["digest"])
+        assert ("open http://127.0.0.1:" in said.err) == bool(options)
+    assert digests[0] == digests[1]
+    assert len(stayed) == 1
+    assert rerun("compare", tmp_path / "alone.rrd", tmp_path / "watched.rrd") == 0
 
 
 # --- pictures
