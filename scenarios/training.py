@@ -121,9 +121,10 @@ def make_policy(everything: Sequence[Intervention], fits: dict[str, FitResult], 
         from learning.evidential import TrainingOptions, train
 
         say = functools.partial(print, file=sys.stderr, flush=True)
-        background = background_scans(interventions, others)
+        options = TrainingOptions(seed=seed)
+        background = background_scans(interventions, others if options.ood_weight > 0.0 else [])
         say(f"appli train: classifier for {', '.join(labels)}, {len(background)} scans of other places ...")
-        trained = train(labelled_scans(interventions), TrainingOptions(seed=seed), background=background)
+        trained = train(labelled_scans(interventions), options, background=background)
         classifier = trained.classifier
         figures = trained.report.figures() | {"background_scans": float(len(background))}
         curves["classifier"] = [
