@@ -51,7 +51,7 @@ class FitSettings:
     max_evaluations: int = 3000  # of the sum, by all searches together (12 x 800)
     patience: int = 15  # a search ends after so many generations without progress (tolfun 1e-11)
     min_progress: float = 1e-3  # as a share of the default's loss; less in one generation is no progress
-    modesty: float = 0.02  # this share of what the best gained is given up for being nearer to the default (0)
+    modesty: float = 0.02  # given up for being nearer to the default: a share of what was gained or of what is left (0)
     seed: int = 0
     space: ParameterSpace = field(default_factory=ParameterSpace)
     planner: PlannerSettings = DEFAULT_SETTINGS
@@ -196,11 +196,15 @@ class _Fitting:
         return min([DEFAULT_THETA, *self.found], key=self.loss)
 
     def chosen(self) -> PlannerParams:
-        """Of all that was seen and is as good as the best, the one nearest to the default in the unit cube."""
+        """Of all that was seen and is as good as the best, the one nearest to the default in the unit cube.
+
+        As good: within a share of what the best gained, and of what it leaves unexplained, the hand's noise. Where the
+        best explains everything, nothing is given up.
+        """
         space, default = self.settings.space, self.loss(DEFAULT_THETA)
         seen = [*self.seen, (default, DEFAULT_THETA)]
         best = min(loss for loss, _ in seen)
-        allowed = best + self.settings.modesty * (default - best)
+        allowed = best + self.settings.modesty * min(default - best, best)
         origin = space.encode(DEFAULT_THETA)
         near = [(float(np.linalg.norm(space.encode(theta) - origin)), loss, theta) for loss, theta in seen]
         return min((n for n in near if n[1] <= allowed), key=lambda n: n[:2])[2]

@@ -221,12 +221,15 @@ def test_flatness_surrounds_theta_and_tells_what_the_data_do_not_determine() -> 
 
 
 def test_among_equally_good_parameters_those_nearest_to_the_default_are_taken() -> None:
-    taught = demonstrated(seen(8), published_parameters()["B2"])
-    best, modest = (fit(taught, replace(QUICK, max_evaluations=200, modesty=m)) for m in (0.0, 0.1))
+    hand = np.random.default_rng(5)  # so unsteady that no parameters explain it
+    steady = demonstrated(seen(8), published_parameters()["B2"]).steps
+    steps = [replace(s, action=Command(s.action.v, s.action.w + hand.normal(0.0, 0.5))) for s in steady]
+    taught = Intervention("B", "B1", steps, METADATA)
+    best, modest = (fit(taught, replace(QUICK, max_evaluations=200, modesty=m)) for m in (0.0, 0.2))
     space, default = ParameterSpace(), ParameterSpace().encode(DEFAULT)
     far, near = (float(np.linalg.norm(space.encode(r.theta) - default)) for r in (best, modest))
     assert near < far
-    assert best.loss < modest.loss <= best.loss + 0.1 * (best.default_loss - best.loss) + 1e-9
+    assert best.loss < modest.loss <= best.loss + 0.2 * min(best.default_loss - best.loss, best.loss) + 1e-9
     assert modest.curve.tolist() == best.curve.tolist()  # the search is the same
 
 
