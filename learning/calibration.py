@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.classifier import EvidentialClassifier
+from learning.classifier import EvidentialClassifier, confidence, dirichlet, preprocess
 from twin.records import Array
+
+MOST, FACTORS = 4.0, 100  # largest factor on the logits, and how many are tried
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +107,26 @@ def assess(classifier: EvidentialClassifier, scans: Array, labels: tuple[str, ..
     )
 
 
+def evidence_factor(classifier: EvidentialClassifier, scans: Array, share: float, threshold: float) -> float:
+    """The smallest factor >= 1 on the logits with which so large a share of the scans (n, 720) has u >= threshold.
+
+    How much evidence a network gives depends on the penalties and the length of the training, but the threshold is
+    given. A factor on the logits (Guo et al. 2017, temperature scaling) changes no order between contexts. MOST if
+    none is enough.
+    """
+    logits = np.array([classifier.logits(preprocess(scan)) for scan in scans])
+    for factor in np.geomspace(1.0, MOST, FACTORS):
+        if (confidence(dirichlet(factor * logits)) >= threshold).mean() >= share:
+            return float(factor)
+    return MOST
+
+
+def sharpened(classifier: EvidentialClassifier, factor: float) -> EvidentialClassifier:
+    """The same classifier with its logits times a factor."""
+    by = np.float32(factor)
+    return replace(classifier, output=classifier.output * by, output_bias=classifier.output_bias * by)
+
+
 @dataclass(frozen=True, slots=True)
 class Round:
     """Losses after so many steps."""
@@ -128,6 +150,7 @@ class TrainingReport:
     unfamiliar_share: float  # confident share of made-up scans held out of training; NaN with ood_weight = 0
     outside_share: float  # confident share of the given scans of no context; NaN without any
     outside_confidence: float  # their mean u; NaN without any
+    evidence_factor: float  # by which the logits were multiplied
     best_step: int
     rounds: tuple[Round, ...]
     seconds: float  # wall clock
@@ -143,6 +166,7 @@ class TrainingReport:
             "ece_probability": self.held_out.by_probability.ece,
             "unfamiliar_share": self.unfamiliar_share,
             "outside_share": self.outside_share,
+            "evidence_factor": self.evidence_factor,
         }
         return {name: value for name, value in named.items() if math.isfinite(value)}
 

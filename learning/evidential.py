@@ -24,7 +24,7 @@ import torch
 from torch import Tensor
 
 from learning.augment import Augmentation, augmented, inputs_of
-from learning.calibration import Round, TrainingReport, assess, judge_all
+from learning.calibration import Round, TrainingReport, assess, evidence_factor, judge_all, sharpened
 from learning.classifier import KERNEL, STRIDE, EvidentialClassifier, Floats, weight_shapes
 from learning.labelled_scans import Integers, ScanDataset, balanced, split, time_blocks
 from learning.unfamiliar import NO_SCANS, Unfamiliar, unfamiliar_scans
@@ -54,7 +54,8 @@ class TrainingOptions:
     validation_share: float = 0.2  # of each context's time blocks (authors: of the steps)
     patience: int = 1000  # steps without a better validation loss after which training ends
     refit: bool = True  # then train anew on all blocks for as many steps as proved best (authors: full_train)
-    threshold: float = 0.8  # eps_u at which the report counts confident scans
+    threshold: float = 0.8  # eps_u
+    confident: float = 0.95  # of the held-out scans, by a factor on the logits afterwards; 0 = as trained (authors)
     augmentation: Augmentation = field(default_factory=Augmentation)
     seed: int = 0
 
@@ -65,6 +66,7 @@ PLAIN = TrainingOptions(
     learning_rate=3e-4,
     kl_weight=1.0,
     ood_weight=0.0,
+    confident=0.0,
     augmentation=Augmentation(shift=math.radians(10.0), translation=0.10),
 )
 
@@ -184,6 +186,8 @@ def train(
             descent = _Descent(dataset, None, everywhere, None, contexts, options, rng)
             rounds += tuple(descent.run(best_step, progress))
             deployed = EvidentialClassifier.from_weights(contexts, descent.best)
+    factor = evidence_factor(examined, held.scans, options.confident, options.threshold)
+    examined, deployed = sharpened(examined, factor), sharpened(deployed, factor)
     beyond = judge_all(deployed, NO_SCANS if outside is None else outside)
     report = TrainingReport(
         contexts=contexts,
@@ -192,6 +196,7 @@ def train(
         unfamiliar_share=judge_all(deployed, aside.made_up).confident_share(options.threshold),
         outside_share=beyond.confident_share(options.threshold),
         outside_confidence=beyond.mean_confidence,
+        evidence_factor=factor,
         best_step=best_step,
         rounds=rounds,
         seconds=time.perf_counter() - began,

@@ -3,17 +3,17 @@
     theta_i = argmin_theta  sum over (x, a) in I_i of  lambda_v (v - v')^2 + lambda_w (w - w')^2,
     where (v', w') = G(x; theta)
 
-The search space is the unit cube that `ParameterSpace` maps to parameters. Searches start from different points; the
-last one starts, with small steps, at the best of what they found. Of all that was as good as the best, the parameters
-nearest to the default are taken: what the demonstrations leave open stays as it was. The default parameters always
-compete, so no fit is worse than the default on its own data.
+The search space is the unit cube that `ParameterSpace` maps to parameters. Searches start in the middle and at the best
+of points scattered over the cube; the last, with small steps, at the best of what was found. Of all that is as good as
+the best, the parameters nearest to the default are taken: what the demonstrations leave open stays as it was. The
+default parameters always compete, so no fit is worse than the default on its own data.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
@@ -33,6 +33,7 @@ MARGIN = 0.02  # [cube sides] how far the search may leave the cube; out there i
 SMALLEST_STEP = 1e-5  # [cube sides] a search whose steps are smaller is over
 MOST_SKEWED = 1e14  # condition number of the covariance (pycma's own limit)
 PIECE = 100  # [steps] at a time when all are judged
+STARTS_APART = 0.5  # [cube sides] between points to search from
 FLATNESS_GRID = 21  # values of each parameter that are looked at
 
 
@@ -45,11 +46,12 @@ class FitSettings:
     population: int = 12  # (12)
     start: Start = "middle"  # of the first search (the middle)
     sigma: float = 0.2  # [cube sides] first step size (2 of 10)
-    restarts: int = 3  # further searches from random points (none); with one, some seeds end in a poor local optimum
+    scattered: int = 200  # random points, looked at before the restarts (none)
+    restarts: int = 8  # further searches, from the best of those points (none)
     last_sigma: float = 0.05  # [cube sides] first step size of the last search, from the best so far (there is none)
     max_steps: int = 300  # search on so many steps, evenly spread; neighbours are much alike (all)
-    max_evaluations: int = 3000  # of the sum, by all searches together (12 x 800)
-    patience: int = 15  # a search ends after so many generations without progress (tolfun 1e-11)
+    max_evaluations: int = 8000  # of the sum, by all searches together (12 x 800)
+    patience: int = 10  # a search ends after so many generations without progress (tolfun 1e-11)
     min_progress: float = 1e-3  # as a share of the default's loss; less in one generation is no progress
     modesty: float = 0.02  # given up for being nearer to the default: a share of what was gained or of what is left (0)
     seed: int = 0
@@ -63,7 +65,7 @@ class FitSettings:
                 raise ValueError(f"{name} must be a finite number >= 0, not {getattr(self, name)!r}")
         if self.lambda_v == self.lambda_w == 0.0:
             raise ValueError("lambda_v and lambda_w must not both be 0")
-        least = {"population": 4, "restarts": 0, "max_steps": 1, "max_evaluations": 1, "patience": 1}
+        least = {"population": 4, "scattered": 0, "restarts": 0, "max_steps": 1, "max_evaluations": 1, "patience": 1}
         for name, low in least.items():
             if getattr(self, name) < low:
                 raise ValueError(f"{name} must be at least {low}, not {getattr(self, name)}")
@@ -118,12 +120,12 @@ def fit(
     """
     settings = settings or FitSettings()
     taught = [interventions] if isinstance(interventions, Intervention) else list(interventions)
-    labels = {i.label for i in taught}
+    labels = sorted({i.label for i in taught})
     if len(labels) != 1:
-        raise ValueError(f"one fit is for one context, not for {', '.join(sorted(labels)) or 'none'}")
+        raise ValueError(f"one fit is for one context, not for {', '.join(labels) or 'none'}")
     steps = LabelledSteps.of([i.packed for i in taught])
-    if len(steps) == 0:
-        raise ValueError(f"intervention {labels.pop()} has no labelled steps to learn from")
+    if not len(steps):
+        raise ValueError(f"intervention {labels[0]} has no labelled steps to learn from")
     began = time.perf_counter()
     fitting = _Fitting(steps, settings, progress)
     flatness: dict[str, tuple[float, float]] = {}
@@ -182,8 +184,10 @@ class _Fitting:
         self.sample = Imitation(few, settings.planner)
         self._demonstrated = few.actions
         self._scale = len(steps) / len(few)
-        self.found: list[PlannerParams] = []  # the best of each search so far
-        self.seen: list[tuple[float, PlannerParams]] = []  # everything the searches have looked at
+        self.default_loss = self.loss(DEFAULT_THETA)
+        self.best = self.default_loss, DEFAULT_THETA
+        self.seen = [self.best]  # everything that was looked at
+        self.searches = 0
         self.evaluations = 0
         self.curve: list[tuple[int, int, float]] = []
 
@@ -191,75 +195,87 @@ class _Fitting:
         """Eq. 1's sum for one theta, scaled up to all steps when only a sample is looked at."""
         return _loss(self.sample.actions(theta), self._demonstrated, self.settings) * self._scale
 
-    def best_theta(self) -> PlannerParams:
-        """The best of what the searches have found, and of the default."""
-        return min([DEFAULT_THETA, *self.found], key=self.loss)
-
     def chosen(self) -> PlannerParams:
         """Of all that was seen and is as good as the best, the one nearest to the default in the unit cube.
 
         As good: within a share of what the best gained, and of what it leaves unexplained, the hand's noise. Where the
         best explains everything, nothing is given up.
         """
-        space, default = self.settings.space, self.loss(DEFAULT_THETA)
-        seen = [*self.seen, (default, DEFAULT_THETA)]
-        best = min(loss for loss, _ in seen)
-        allowed = best + self.settings.modesty * min(default - best, best)
+        space, (best, _) = self.settings.space, self.best
+        allowed = best + self.settings.modesty * min(self.default_loss - best, best)
         origin = space.encode(DEFAULT_THETA)
-        near = [(float(np.linalg.norm(space.encode(theta) - origin)), loss, theta) for loss, theta in seen]
+        near = [(float(np.linalg.norm(space.encode(theta) - origin)), loss, theta) for loss, theta in self.seen]
         return min((n for n in near if n[1] <= allowed), key=lambda n: n[:2])[2]
 
     def run(self) -> None:
         """All searches."""
+        rng = np.random.default_rng(self.settings.seed)
+        for start in self.starts(rng):
+            self._search(start, self.settings.sigma, rng)
+        self._search(self.settings.space.encode(self.best[1]), self.settings.last_sigma, rng)
+
+    def starts(self, rng: np.random.Generator) -> Iterator[Array]:
+        """Where to search from: the first, then the best of scattered points, no two of them close to each other."""
         settings = self.settings
-        rng = np.random.default_rng(settings.seed)
-        for k in range(1 + settings.restarts):
-            start = rng.uniform(0.1, 0.9, len(PARAMETER_NAMES))
-            if k == 0 and settings.start != "random":
-                middle = np.full(len(start), 0.5)
-                start = middle if settings.start == "middle" else settings.space.encode(DEFAULT_THETA)
-            self._search(start, settings.sigma, rng)
-        self._search(settings.space.encode(self.best_theta()), settings.last_sigma, rng)
+        middle = np.full(len(PARAMETER_NAMES), 0.5)
+        default = settings.space.encode(DEFAULT_THETA)
+        yield {"middle": middle, "default": default, "random": rng.uniform(0.1, 0.9, len(middle))}[settings.start]
+        if not settings.restarts:
+            return
+        count = min(max(settings.scattered, settings.restarts), settings.max_evaluations - self.evaluations)
+        points = rng.uniform(size=(max(0, count), len(middle)))
+        worth = [self._look(settings.space.decode(point)) for point in points]
+        chosen: list[Array] = []
+        for point in points[np.argsort(worth, kind="stable")]:
+            if all(np.linalg.norm(point - other) > STARTS_APART for other in chosen):
+                chosen.append(point)
+                yield point
+            if len(chosen) == settings.restarts:
+                return
+
+    def _look(self, theta: PlannerParams) -> float:
+        """The loss of a candidate, which is kept in mind."""
+        loss = self.loss(theta)
+        self.seen.append((loss, theta))
+        self.evaluations += 1
+        if loss < self.best[0]:
+            self.best = loss, theta
+        if self.progress is not None:
+            self.progress(self.evaluations, self.best[0])
+        return loss
 
     def _search(self, start: Array, sigma: float, rng: np.random.Generator) -> None:
         """One CMA-ES search from a point (8,) of the unit cube, until it stops making progress."""
         settings = self.settings
         strategy = cma.CMAEvolutionStrategy(start.tolist(), sigma, _options(settings.population, rng))
-        number = len(self.found)
-        self.found.append(DEFAULT_THETA)
-        best = self.loss(DEFAULT_THETA)
+        number, self.searches = self.searches, self.searches + 1
+        best, stale = self.default_loss, 0
         enough = settings.min_progress * best
-        stale = 0
         while stale < settings.patience and self.evaluations < settings.max_evaluations and not _is_over(strategy):
             points = strategy.ask()
             before, losses = best, []
             for theta in (settings.space.decode(np.asarray(p)) for p in points):
-                losses.append(self.loss(theta))
-                self.seen.append((losses[-1], theta))
-                self.evaluations += 1
+                losses.append(self._look(theta))
                 if losses[-1] < best:
                     best = losses[-1]
-                    self.found[number] = theta
                     self.curve.append((self.evaluations, number, best))
-                if self.progress is not None:
-                    self.progress(self.evaluations, best)
             strategy.tell(points, losses)
             stale = 0 if best < before - enough else stale + 1
 
     def flatness(self) -> dict[str, tuple[float, float]]:
         """For each parameter the values round the chosen that cost almost nothing while the other seven stay."""
-        settings, best_theta = self.settings, self.chosen()
-        best, default = self.loss(best_theta), self.loss(DEFAULT_THETA)
-        allowed = best + settings.flatness * max(best, default - best)
+        settings, theta = self.settings, self.chosen()
+        best = self.loss(theta)
+        allowed = best + settings.flatness * max(best, self.default_loss - best)
         ranges = {}
         for name, low, high in zip(PARAMETER_NAMES, settings.space.lower, settings.space.upper, strict=True):
             values = np.unique(np.linspace(low, high, FLATNESS_GRID).round(0 if name in INTEGERS else 9))
-            here = getattr(best_theta, name)
+            here = getattr(theta, name)
             ends = []
             for side in (values[values < here][::-1], values[values > here]):
                 end = here
                 for value in side.tolist():
-                    if self.loss(PlannerParams.from_mapping(best_theta.as_dict() | {name: value})) > allowed:
+                    if self.loss(PlannerParams.from_mapping(theta.as_dict() | {name: value})) > allowed:
                         break
                     end = value
                 ends.append(end)

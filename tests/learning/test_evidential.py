@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from learning.augment import BEARINGS, Augmentation, augmented, mirror, translate
+from learning.calibration import MOST, evidence_factor, judge_all, sharpened
 from learning.classifier import BEAMS, CROP, EvidentialClassifier, preprocess
 from learning.evidential import (
     PLAIN,
@@ -32,6 +33,7 @@ from learning.evidential import (
 )
 from learning.labelled_scans import balanced, split
 from learning.unfamiliar import compose_place, familiar, made_up_scans, scan_of
+from tests.learning.classifiers import range_classifier, scan_at
 
 NO_CIRCLES = np.empty((0, 3))
 
@@ -320,6 +322,23 @@ def test_equal_seeds_give_equal_weights_and_others_do_not(options: TrainingOptio
     assert tuple(rounds) == first.report.rounds
     assert [r.training for r in rounds] == [r.training for r in second.report.rounds]
     assert [r.steps for r in rounds] == [30, 30]
+
+
+def test_the_smallest_factor_that_lets_enough_scans_pass() -> None:
+    plain = range_classifier(gain=20.0)
+    scans = np.array([scan_at(distance) for distance in np.linspace(0.5, 4.5, 41)])
+    shares = []
+    for wanted in (0.0, 0.4, 0.5):
+        factor = evidence_factor(plain, scans, wanted, 0.8)
+        after, before = judge_all(sharpened(plain, factor), scans), judge_all(plain, scans)
+        shares.append(before.confident_share(0.8))
+        assert after.confident_share(0.8) >= wanted
+        assert after.index.tolist() == before.index.tolist()
+        if factor > 1.0:
+            assert judge_all(sharpened(plain, 0.98 * factor), scans).confident_share(0.8) < wanted
+    assert evidence_factor(plain, scans, 0.0, 0.8) == 1.0
+    assert shares[0] < 0.4  # so that there was something to do
+    assert evidence_factor(plain, scans, 1.0, 0.999) == MOST
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
 from functools import lru_cache
@@ -9,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from learning.fit import FitResult, FitSettings, fit
+from learning.fit import STARTS_APART, FitResult, FitSettings, _Fitting, fit
 from learning.imitation import Imitation, LabelledSteps, surroundings
 from learning.interventions import Intervention, Step
 from learning.published import published_parameters
@@ -231,6 +232,21 @@ def test_among_equally_good_parameters_those_nearest_to_the_default_are_taken() 
     assert near < far
     assert best.loss < modest.loss <= best.loss + 0.2 * min(best.default_loss - best.loss, best.loss) + 1e-9
     assert modest.curve.tolist() == best.curve.tolist()  # the search is the same
+
+
+def test_restarts_begin_at_the_best_of_scattered_points_that_lie_apart() -> None:
+    steps = LabelledSteps.of([pack(list(demonstrated(seen(6), published_parameters()["B2"]).steps))])
+    settings = replace(QUICK, scattered=30, restarts=3, max_evaluations=1000)
+    fitting = _Fitting(steps, settings, None)
+    first, *others = fitting.starts(np.random.default_rng(0))
+    assert first.tolist() == [0.5] * 8
+    looked_at = [loss for loss, _ in fitting.seen[1:]]
+    assert fitting.evaluations == len(looked_at) == 30
+    losses = [fitting.loss(settings.space.decode(point)) for point in others]
+    assert losses[0] == min(looked_at)
+    assert losses == sorted(losses)
+    assert len(others) == 3
+    assert min(np.linalg.norm(a - b) for a, b in itertools.combinations(others, 2)) > STARTS_APART
 
 
 def test_several_interventions_of_one_context_are_one_sum() -> None:
