@@ -14,7 +14,7 @@ from scenarios.errors import UserError, blame
 from scenarios.identity import policy_digest
 from scenarios.report.facts import Facts
 from scenarios.report.paper import in_order
-from scenarios.report.sheet import CHANGE, COUNT, ERRORS, SHORT, Column, Sheet
+from scenarios.report.sheet import BOUNDS, CHANGE, COUNT, ERRORS, SHORT, Column, Sheet
 from twin.planner.params import PARAMETER_NAMES, PlannerParams
 
 
@@ -100,6 +100,19 @@ def parameters_sheet(files: Mapping[str, PolicyFile]) -> Sheet:
     if others := differing(files):
         note += f" Not these parameters: {', '.join(others)}."
     return Sheet("parameters", "Table I: parameters, learned and published", columns, tuple(rows), note)
+
+
+def flatness_sheet(files: Mapping[str, PolicyFile]) -> Sheet | None:
+    """How far each learned parameter is determined by the demonstrations; None without any that tells."""
+    rows: list[tuple[object, ...]] = []
+    for label, (method, _) in learned(files).items():
+        if ranges := files[method].policy.provenance.flatness.get(label):
+            rows.append((label, *(ranges.get(name) for name in PARAMETER_NAMES)))
+    if not rows:
+        return None
+    columns = (Column("context", "context"), *(Column(name, name, BOUNDS) for name in PARAMETER_NAMES))
+    note = "Values that cost at most 5 % of what was gained in Eq. 1, or of what is left, while the other seven stay."
+    return Sheet("flatness", "How far the demonstrations determine the parameters", columns, tuple(rows), note)
 
 
 def classifiers_sheet(files: Mapping[str, PolicyFile]) -> Sheet | None:

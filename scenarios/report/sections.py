@@ -129,7 +129,8 @@ def _parameters(material: Material) -> tuple[Block, ...]:
     if not material.files:
         line = "No policies given: add --policies DIR, the folder that appli train --all-methods wrote."
         return (Text(line, "missing"),)
-    return (policies.parameters_sheet(material.files),)
+    flatness = policies.flatness_sheet(material.files)
+    return (policies.parameters_sheet(material.files), *((flatness,) if flatness else ()))
 
 
 def _courses(facts: Facts, pens: _Pens | None) -> tuple[Block, ...]:

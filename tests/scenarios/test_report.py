@@ -33,6 +33,7 @@ POLICY = Policy(
     provenance=Provenance(
         interventions={"d0": "A1", "d1": "A1", "d2": "B1"},
         losses={"A1": (12.0, 1.5)},
+        flatness={"A1": {"max_vel_x": (0.25, 0.375)}},
         curves={"A1": [(12.0, 5.0), (24.0, 1.5)], "classifier": [(0.0, 2.0), (100.0, 0.5)]},
         types="A,B",
     ),
@@ -174,6 +175,9 @@ def test_policies_add_table_i(make: Callable[..., str], policies: Path, tmp_path
     assert (ours["B1"]["max_vel_x"], paper["B1"]["max_vel_x"]) == ("1.23", "1.91")
     assert (ours["A1"]["loss_default"], ours["A1"]["loss_learned"], ours["A1"]["interventions"]) == ("12", "1.5", "2")
     assert set(paper) == {"A1", "A2", "B1", "B2", "D1", "D2"}
+    (flat,) = read_csv(tmp_path / "out" / "tables" / "flatness.csv")  # of B1 nothing is known
+    assert (flat["context"], flat["max_vel_x_low"], flat["max_vel_x_high"]) == ("A1", "0.25", "0.375")
+    assert "0.25 – 0.375" in (tmp_path / "out" / "report.md").read_text(encoding="utf-8")
     assert (tmp_path / "out" / "figures" / "learning-fits.svg").is_file()
     assert "made by other code than this" in (tmp_path / "out" / "report.md").read_text(encoding="utf-8")  # no map
 
