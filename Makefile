@@ -60,13 +60,14 @@ $(LEARNED): $(SESSIONS) | estimate
 reference: $(READY)
 	$(BIN)/python -m scenarios.reference docs/commands.md
 
-# Drawn without a screen, by EGL or OSMesa. ONLY="robot drive" makes these alone; the figures of the report and, where
+# Drawn without a screen, by EGL or OSMesa; WORLDS is the archive of the real BARN worlds, for their metrics. ONLY="robot drive" makes these alone; the figures of the report and, where
 # there is a chromium, the teleop page come with all of them.
 pictures: export MUJOCO_GL ?= $(if $(filter Linux,$(shell uname)),egl)
 pictures: $(READY)
 	$(BIN)/python -m scenarios.pictures docs/pictures $(ONLY)
 ifeq ($(ONLY),)
-	$(BIN)/appli report results/courses.sqlite --policies results/policies --out results/report
+	$(BIN)/appli report results/courses.sqlite,results/barn.sqlite --policies results/policies \
+	    --worlds '$(SWEPT)' --out results/report
 	! command -v chromium >/dev/null || PYTHONPATH=. $(BIN)/python docs/pictures/teleop_web.py
 endif
 
