@@ -27,12 +27,11 @@ class Pace:
     per_metre: float = 1.0  # [1/s] times r (1 + r): faster, with r metres between the robot's side and obstacles
     lateral: float = 0.8  # [m/s2] comfortable in a curve
     turn: float = 1.6  # [rad/s] comfortable
-    accelerate: float = 1.2  # [m/s2]
     brake: float = 1.2  # [m/s2]
 
 
 BRISK = Pace()
-CAREFUL = Pace(top=0.4, creep=0.3, per_metre=0.3, lateral=0.4, turn=0.8, accelerate=0.6, brake=0.6)
+CAREFUL = Pace(top=0.4, creep=0.3, per_metre=0.3, lateral=0.4, turn=0.8, brake=0.6)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,6 @@ from enum import StrEnum
 
 import numpy as np
 
-from learning.interventions import Kind
 from twin.geometry import compose, invert, transform_points
 from twin.records import Array, Outcome, Pose2, Scan, Tick, Twist2
 from twin.world import World
@@ -93,8 +92,3 @@ class View:
     rewound: float = 0.0  # [s] how far back the twin stands from where the rewind began
     saved: tuple[str, ...] = ()  # labels saved in this session
     message: str = ""  # the last thing worth saying
-
-
-def kind_of(label: str) -> Kind | None:
-    """The type in a label such as "A2"."""
-    return next((kind for kind in ("A", "B", "D") if label.startswith(kind)), None)

@@ -166,8 +166,9 @@ def print_fits(fits: dict[str, FitResult]) -> None:
     table.add_section()
     table.add_row("Eq. 1, default", *(f"{r.default_loss:.1f}" for r in fits.values()))
     table.add_row("Eq. 1, learned", *(f"{r.loss:.1f}" for r in fits.values()))
-    table.add_row(r"v error \[m/s]", *(f"{r.rms_error[0]:.2f}" for r in fits.values()))
-    table.add_row(r"w error \[rad/s]", *(f"{r.rms_error[1]:.2f}" for r in fits.values()))
+    for k, name in enumerate((r"v error \[m/s]", r"w error \[rad/s]")):
+        table.add_row(f"{name}, default", *(f"{r.default_rms_error[k]:.2f}" for r in fits.values()))
+        table.add_row(f"{name}, learned", *(f"{r.rms_error[k]:.2f}" for r in fits.values()))
     table.add_row("steps", *(str(len(r.demonstrated)) for r in fits.values()))
     print_table(table)
     console = Console()

@@ -39,11 +39,6 @@ class Experiment:
         """Courses are looked at one by one, BARN worlds all together."""
         return self.protocol == "course"
 
-    @property
-    def planned(self) -> int:
-        """Trials that a finished sweep has: every world, every method, every run that the store knows."""
-        return len(self.worlds) * len(self.methods) * len(self.plan)
-
     def missing(self) -> list[Place]:
         """The trials that are not finished."""
         there = {(row.world, row.method, row.seed, row.run) for row in self.rows}
