@@ -42,7 +42,6 @@ QUALITIES = (72, 60, 48, 36, 24)  # of WebP: the best that fits
 SHADE: RGB = (205, 208, 212)
 GOAL: RGB = (38, 130, 70)
 AHEAD = 0.2  # [m] of the robot is what the camera behind it looks at
-RADIUS = 0.4  # [m] of the ring that marks the goal
 
 
 def animation(policy: Path) -> bytes:
@@ -77,7 +76,8 @@ def film(ticks: Sequence[Tick]) -> list[Image.Image]:
     shown = [*range(0, len(ticks) - 1, TICKS), len(ticks) - 1]
     frames, yaw = [], ticks[0].true_pose.yaw
     turn = np.linspace(0.0, math.tau, 60)
-    circle = np.column_stack([world.goal.x + RADIUS * np.cos(turn), world.goal.y + RADIUS * np.sin(turn)])
+    near = world.rules.goal_tolerance  # [m]
+    circle = np.column_stack([world.goal.x + near * np.cos(turn), world.goal.y + near * np.sin(turn)])
     with Stage(world, COURSE, 24.0, fine=4096) as above, Stage(world, BEHIND, 5.0, fine=2048) as behind:
         above.hide_goal()
         behind.hide_goal()

@@ -29,14 +29,14 @@ OBSTACLES: dict[str, RGB] = {
     "mesh": (122, 134, 152),
 }
 
-CONTEXTS: dict[str, RGB] = {
+CONTEXTS: dict[str, RGB] = {  # the hues of the report's (Okabe and Ito), lighter
     DEFAULT_CONTEXT: (150, 162, 182),
-    "A1": (255, 120, 117),
-    "A2": (255, 169, 77),
-    "B1": (77, 171, 247),
-    "B2": (164, 133, 255),
-    "D1": (81, 207, 102),
-    "D2": (56, 217, 169),
+    "A1": (243, 114, 44),
+    "A2": (242, 186, 60),
+    "B1": (52, 138, 222),
+    "B2": (126, 204, 244),
+    "D1": (40, 190, 142),
+    "D2": (226, 150, 192),
 }
 
 STATES: dict[str, RGB] = {
