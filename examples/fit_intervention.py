@@ -22,7 +22,7 @@ def by_hand(pose: Pose2, speed: float) -> Command:
 
 
 def main(speed: float = 0.8, evaluations: int = 200, steps: int = 60, plot: Path = Path("out/fit.png")) -> None:
-    """Demonstrate at `speed` [m/s], fit, drive before and after. `appli train` takes 3000 evaluations, 300 steps."""
+    """Demonstrate at `speed` [m/s], fit, drive before and after. `appli train` takes 8000 evaluations, 300 steps."""
     world = load_world("corridor")
     loop = Loop(make_simulation(TrialSpec("corridor"), world), MoveBaseDriver())
     ticks = [loop.step(by_hand(world.start, speed))]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from learning.classifier import EvidentialClassifier, confidence, dirichlet, preprocess
 from twin.records import Array
 
-MOST, FACTORS = 4.0, 100  # largest factor on the logits, and how many are tried
+MOST_FACTOR, FACTORS = 4.0, 100  # largest factor on the logits, and how many are tried
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,14 +111,15 @@ def evidence_factor(classifier: EvidentialClassifier, scans: Array, share: float
     """The smallest factor >= 1 on the logits with which so large a share of the scans (n, 720) has u >= threshold.
 
     How much evidence a network gives depends on the penalties and the length of the training, but the threshold is
-    given. A factor on the logits (Guo et al. 2017, temperature scaling) changes no order between contexts. MOST if
-    none is enough.
+    given. A factor on the logits (Guo et al. 2017, temperature scaling) changes no order between contexts. Where no
+    factor is enough, the smallest of those that come closest. Raises ValueError without scans.
     """
+    if not len(scans):
+        raise ValueError("evidence cannot be scaled without scans")
     logits = np.array([classifier.logits(preprocess(scan)) for scan in scans])
-    for factor in np.geomspace(1.0, MOST, FACTORS):
-        if (confidence(dirichlet(factor * logits)) >= threshold).mean() >= share:
-            return float(factor)
-    return MOST
+    factors = np.geomspace(1.0, MOST_FACTOR, FACTORS)
+    passed = [(confidence(dirichlet(factor * logits)) >= threshold).mean() for factor in factors]
+    return float(factors[np.argmax(np.minimum(passed, share))])
 
 
 def sharpened(classifier: EvidentialClassifier, factor: float) -> EvidentialClassifier:
@@ -141,7 +142,8 @@ class TrainingReport:
     """What training measured. Shares are of u >= threshold.
 
     `held_out` judges the classifier before the refit, on the time blocks that it has not seen; the refitted one has
-    seen more, so it is a cautious figure. The others judge the classifier that is deployed.
+    seen more, so its accuracy is a cautious figure. Its confidence is not: the factor on the evidence was chosen there.
+    The others judge the classifier that is deployed.
     """
 
     contexts: tuple[str, ...]

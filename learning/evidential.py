@@ -7,7 +7,8 @@ Dirichlet over the contexts' probabilities. With y the one-hot label, S = sum(al
       + lambda_t KL(Dir(y + (1 - y) alpha) || Dir(1))     misleading evidence, lambda_t annealed in
       + ood_weight KL(Dir(alpha~) || Dir(1))              alpha~ at unfamiliar scans; 0 = the paper's plain form
 
-The last term is a remedy for plain EDL's confidence in places of no context; see `learning.unfamiliar`.
+The last term is a remedy for plain EDL's confidence in places of no context; see `learning.unfamiliar`. Afterwards the
+logits are scaled so that the given threshold lets the known places pass (`learning.calibration.evidence_factor`).
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from learning.augment import Augmentation, augmented, inputs_of
 from learning.calibration import Round, TrainingReport, assess, evidence_factor, judge_all, sharpened
 from learning.classifier import KERNEL, STRIDE, EvidentialClassifier, Floats, weight_shapes
 from learning.labelled_scans import Integers, ScanDataset, balanced, split, time_blocks
+from learning.policy import EPS_U
 from learning.unfamiliar import NO_SCANS, Unfamiliar, unfamiliar_scans
 from twin.records import Array
 
@@ -54,10 +56,16 @@ class TrainingOptions:
     validation_share: float = 0.2  # of each context's time blocks (authors: of the steps)
     patience: int = 1000  # steps without a better validation loss after which training ends
     refit: bool = True  # then train anew on all blocks for as many steps as proved best (authors: full_train)
-    threshold: float = 0.8  # eps_u
+    threshold: float = EPS_U
     confident: float = 0.95  # of the held-out scans, by a factor on the logits afterwards; 0 = as trained (authors)
     augmentation: Augmentation = field(default_factory=Augmentation)
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.confident <= 1.0:
+            raise ValueError(f"confident must be in [0, 1], not {self.confident}")
+        if self.steps < 1:
+            raise ValueError(f"steps must be at least 1, not {self.steps}")
 
 
 # As published, as far as it is known.

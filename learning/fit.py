@@ -26,7 +26,7 @@ from twin.planner.params import INTEGERS, PARAMETER_NAMES, ParameterSpace, Plann
 from twin.planner.plan import DEFAULT_SETTINGS, DEFAULT_THETA, PlannerSettings
 from twin.records import Array, frozen_array
 
-Progress = Callable[[int, float], None]  # evaluations so far, best loss of the search in progress
+Progress = Callable[[int, float], None]  # evaluations so far, best loss so far
 Start = Literal["middle", "default", "random"]
 
 MARGIN = 0.02  # [cube sides] how far the search may leave the cube; out there is the bound, which is so hit exactly
@@ -50,14 +50,16 @@ class FitSettings:
     restarts: int = 8  # further searches, from the best of those points (none)
     last_sigma: float = 0.05  # [cube sides] first step size of the last search, from the best so far (there is none)
     max_steps: int = 300  # search on so many steps, evenly spread; neighbours are much alike (all)
-    max_evaluations: int = 8000  # of the sum, by all searches together (12 x 800)
+    max_evaluations: int = 8000  # of the sum, by all searches together, whole generations (12 x 800)
     patience: int = 10  # a search ends after so many generations without progress (tolfun 1e-11)
     min_progress: float = 1e-3  # as a share of the default's loss; less in one generation is no progress
     modesty: float = 0.02  # given up for being nearer to the default: a share of what was gained or of what is left (0)
     seed: int = 0
     space: ParameterSpace = field(default_factory=ParameterSpace)
     planner: PlannerSettings = DEFAULT_SETTINGS
-    flatness: float = 0.05  # a parameter is flat as far as it costs no more than this share of what the fit gained
+    flatness: float = (
+        0.05  # a parameter is flat as far as it costs this share of what was gained or, if more, of the rest
+    )
 
     def __post_init__(self) -> None:
         for name in ("lambda_v", "lambda_w"):
@@ -88,7 +90,7 @@ class FitResult:
     demonstrated: Array  # (n, 2) v [m/s], w [rad/s] of the intervener, labelled steps
     default_actions: Array  # (n, 2) of G with the default parameters
     actions: Array  # (n, 2) of G with theta
-    curve: Array  # (k, 3) evaluations, number of the search, its best loss so far (scaled up to all steps)
+    curve: Array  # (k, 3) evaluations, number of the search, its best loss so far (of the sample, scaled up)
     flatness: dict[str, tuple[float, float]]  # name -> range of values that cost almost nothing, all others held
     evaluations: int
     seconds: float  # of wall time
@@ -126,19 +128,20 @@ def fit(
     steps = LabelledSteps.of([i.packed for i in taught])
     if not len(steps):
         raise ValueError(f"intervention {labels[0]} has no labelled steps to learn from")
-    began = time.perf_counter()
-    fitting = _Fitting(steps, settings, progress)
-    flatness: dict[str, tuple[float, float]] = {}
-    interrupted = False
+    began, fitting = time.perf_counter(), _Fitting(steps, settings, progress)
+    interrupted, flatness = False, dict[str, tuple[float, float]]()
     try:
         fitting.run()
-        flatness = fitting.flatness()
     except KeyboardInterrupt:
         interrupted = True
     thetas = [DEFAULT_THETA, fitting.chosen()]
     actions = _judge(steps, fitting.sample, thetas, settings.planner)
     losses = [_loss(a, steps.actions, settings) for a in actions]
     best = losses.index(min(losses))
+    try:
+        flatness = {} if interrupted else fitting.flatness(thetas[best])
+    except KeyboardInterrupt:
+        interrupted = True
     return FitResult(
         theta=thetas[best],
         loss=losses[best],
@@ -216,14 +219,12 @@ class _Fitting:
 
     def starts(self, rng: np.random.Generator) -> Iterator[Array]:
         """Where to search from: the first, then the best of scattered points, no two of them close to each other."""
-        settings = self.settings
-        middle = np.full(len(PARAMETER_NAMES), 0.5)
+        settings, middle = self.settings, np.full(len(PARAMETER_NAMES), 0.5)
         default = settings.space.encode(DEFAULT_THETA)
         yield {"middle": middle, "default": default, "random": rng.uniform(0.1, 0.9, len(middle))}[settings.start]
-        if not settings.restarts:
-            return
-        count = min(max(settings.scattered, settings.restarts), settings.max_evaluations - self.evaluations)
-        points = rng.uniform(size=(max(0, count), len(middle)))
+        left = max(0, settings.max_evaluations - self.evaluations)
+        count = min(max(settings.scattered, settings.restarts), left // 2) if settings.restarts else 0
+        points = rng.uniform(size=(count, len(middle)))
         worth = [self._look(settings.space.decode(point)) for point in points]
         chosen: list[Array] = []
         for point in points[np.argsort(worth, kind="stable")]:
@@ -262,10 +263,9 @@ class _Fitting:
             strategy.tell(points, losses)
             stale = 0 if best < before - enough else stale + 1
 
-    def flatness(self) -> dict[str, tuple[float, float]]:
-        """For each parameter the values round the chosen that cost almost nothing while the other seven stay."""
-        settings, theta = self.settings, self.chosen()
-        best = self.loss(theta)
+    def flatness(self, theta: PlannerParams) -> dict[str, tuple[float, float]]:
+        """For each parameter the values round theta's that cost almost nothing while the other seven stay."""
+        settings, best = self.settings, self.loss(theta)
         allowed = best + settings.flatness * max(best, self.default_loss - best)
         ranges = {}
         for name, low, high in zip(PARAMETER_NAMES, settings.space.lower, settings.space.upper, strict=True):

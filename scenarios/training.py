@@ -131,7 +131,10 @@ def make_policy(everything: Sequence[Intervention], fits: dict[str, FitResult], 
             (float(r.steps), r.validation) for r in trained.report.rounds if math.isfinite(r.validation)
         ]
         accuracy, certain = figures["held_out_accuracy"], figures["held_out_confidence"]
-        say(f"appli train: held out: accuracy {accuracy:.2f}, confidence {certain:.2f}; {trained.report.seconds:.0f} s")
+        say(
+            f"appli train: held out: accuracy {accuracy:.2f}, confidence {certain:.2f}, "
+            f"evidence x {trained.report.evidence_factor:.2f}; {trained.report.seconds:.0f} s"
+        )
         if certain < EPS_U:
             say(f"appli train: below {EPS_U} the default parameters are taken: more sessions make it surer of itself")
     provenance = Provenance(

@@ -111,7 +111,7 @@ def flatness_sheet(files: Mapping[str, PolicyFile]) -> Sheet | None:
     if not rows:
         return None
     columns = (Column("context", "context"), *(Column(name, name, BOUNDS) for name in PARAMETER_NAMES))
-    note = "Values that cost at most 5 % of what was gained in Eq. 1, or of what is left, while the other seven stay."
+    note = "Values that cost at most 5 % of what Eq. 1 gained or, if more, of what is left, while the others stay."
     return Sheet("flatness", "How far the demonstrations determine the parameters", columns, tuple(rows), note)
 
 

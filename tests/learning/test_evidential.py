@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from learning.augment import BEARINGS, Augmentation, augmented, mirror, translate
-from learning.calibration import MOST, evidence_factor, judge_all, sharpened
+from learning.calibration import MOST_FACTOR, evidence_factor, judge_all, sharpened
 from learning.classifier import BEAMS, CROP, EvidentialClassifier, preprocess
 from learning.evidential import (
     PLAIN,
@@ -338,7 +338,32 @@ def test_the_smallest_factor_that_lets_enough_scans_pass() -> None:
             assert judge_all(sharpened(plain, 0.98 * factor), scans).confident_share(0.8) < wanted
     assert evidence_factor(plain, scans, 0.0, 0.8) == 1.0
     assert shares[0] < 0.4  # so that there was something to do
-    assert evidence_factor(plain, scans, 1.0, 0.999) == MOST
+    hopeless = evidence_factor(plain, scans, 1.0, 0.8)  # in the middle no factor is enough
+    assert 1.0 < hopeless <= MOST_FACTOR
+    most = judge_all(sharpened(plain, MOST_FACTOR), scans).confident_share(0.8)
+    assert judge_all(sharpened(plain, hopeless), scans).confident_share(0.8) == most < 1.0
+    assert judge_all(sharpened(plain, 0.98 * hopeless), scans).confident_share(0.8) < most
+    with pytest.raises(ValueError, match="without scans"):
+        evidence_factor(plain, scans[:0], 0.5, 0.8)
+
+
+def test_training_scales_the_evidence_of_what_is_deployed() -> None:
+    options = TrainingOptions(steps=60, ood_scans=60, annealing_steps=10)
+    scaled, as_trained = (train(three_places(2.0, 0), replace(options, confident=c)) for c in (0.95, 0.0))
+    factor = scaled.report.evidence_factor
+    assert factor > 1.0
+    assert as_trained.report.evidence_factor == 1.0
+    for name, weights in as_trained.classifier.weights.items():
+        by = np.float32(factor if name.startswith("output") else 1.0)
+        np.testing.assert_array_equal(scaled.classifier.weights[name], weights * by)
+    assert scaled.report.held_out.confidence > as_trained.report.held_out.confidence
+    assert scaled.report.held_out.accuracy == as_trained.report.held_out.accuracy
+
+
+@pytest.mark.parametrize("change", [{"confident": 1.5}, {"confident": -0.1}, {"steps": 0}])
+def test_training_options_that_make_no_sense_are_refused(change: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=next(iter(change))):
+        replace(TrainingOptions(), **change)
 
 
 @pytest.mark.slow

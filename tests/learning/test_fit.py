@@ -191,7 +191,7 @@ def test_the_curve_and_the_progress_only_fall_within_a_search() -> None:
         assert np.all(np.diff(losses) < 0)
 
 
-@pytest.mark.parametrize("after", [1, 20])
+@pytest.mark.parametrize("after", [1, 20, 60])
 def test_ctrl_c_keeps_the_best_so_far(after: int) -> None:
     best = math.inf
 
@@ -201,7 +201,8 @@ def test_ctrl_c_keeps_the_best_so_far(after: int) -> None:
         if evaluations == after:
             raise KeyboardInterrupt
 
-    result = fit(demonstrated(seen(8), published_parameters()["B2"]), FitSettings(modesty=0.0), press)
+    settings = FitSettings(modesty=0.0, patience=1, min_progress=1.0)  # 60 is among the scattered points
+    result = fit(demonstrated(seen(8), published_parameters()["B2"]), settings, press)
     assert result.interrupted
     assert result.evaluations == after
     assert result.loss == pytest.approx(best)
@@ -219,6 +220,16 @@ def test_flatness_surrounds_theta_and_tells_what_the_data_do_not_determine() -> 
     assert fit(taught, QUICK).flatness == {
         n: (low, high) for n, low, high in zip(PARAMETER_NAMES, space.lower, space.upper, strict=True)
     }
+
+
+def test_flatness_is_of_the_parameters_that_are_returned() -> None:
+    first, *others = demonstrated(seen(12), DEFAULT).steps
+    act = Command(*action(first.observation, published_parameters()["A1"], PlannerSettings()))
+    taught = Intervention("B", "B1", [replace(first, action=act), *others], METADATA)
+    result = fit(taught, replace(QUICK, max_steps=1, max_evaluations=100))  # the one step looked at wants A1's
+    assert result.theta == DEFAULT
+    for name, (low, high) in result.flatness.items():
+        assert low <= getattr(result.theta, name) <= high
 
 
 def test_among_equally_good_parameters_those_nearest_to_the_default_are_taken() -> None:
