@@ -18,7 +18,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
-MARK = re.compile(r"#.*?\b(long: ~\d+ (?:s|min|h)\b|needs: \S.*)")
+MARK = re.compile(r"#.*?\b(long: ~[\d.]+ (?:s|min|h)\b|needs: \S.*)")
 SHELL = ("", "sh", "bash")
 
 
