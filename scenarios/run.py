@@ -14,6 +14,7 @@ from typing import Any
 import yaml
 
 from scenarios.errors import UserError, blame
+from scenarios.folders import make_folder
 from scenarios.switches import Switches
 from scenarios.trials import TrialResult, TrialSpec, make_driver, result_as_dict, run_trial
 from scenarios.worlds import list_worlds, load_world
@@ -52,6 +53,9 @@ def run_command(
         world = load_world(world_name, protocol, start=start, goal=goal)
         spec = TrialSpec(world_name, protocol, driver, seed, 0, theta, switches)
         make_driver(spec)  # a wrong name or file is told before anything is compiled
+    for path in (record, record_bag):
+        if path is not None:
+            make_folder(path.parent)
     compile_kernels()
     with ExitStack() as stack:
         viewer = None

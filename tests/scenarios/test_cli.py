@@ -113,7 +113,7 @@ def test_an_unknown_world_names_the_closest() -> None:
         (["run", "open", "--protocol", "moon"], "icra22"),
         (["run", "open", "--driver", "nobody"], "driver"),
         (["run", "open", "--params", "missing.yaml"], "missing.yaml"),
-        (["run", "open", "--record", "/nowhere/at/all.rrd"], "/nowhere"),
+        (["run", "open", "--record", "/dev/null/at/all.rrd"], "/dev/null"),
         (["run", "barn-like/300"], "299"),
         (["run", "open", "--record", "course.toml"], ".rrd"),
         (["run", "open", "--driver", "theta:Z9"], "theta:B1"),

@@ -123,14 +123,14 @@ def test_a_run_is_the_same_whether_it_is_watched_or_not(
     digests = []
     for name, options in (("alone", []), ("watched", ["--view", "--web"])):
         with pytest.raises(SystemExit) as stop:
-            main(["run", "open", "--json", "--record", str(tmp_path / f"{name}.rrd"), *options])
+            main(["run", "open", "--json", "--record", str(tmp_path / "made" / f"{name}.rrd"), *options])
         assert stop.value.code == 0
         said = capsys.readouterr()
         digests.append(json.loads(said.out)["digest"])
         assert ("open http://127.0.0.1:" in said.err) == bool(options)
     assert digests[0] == digests[1]
     assert len(stayed) == 1
-    assert rerun("compare", tmp_path / "alone.rrd", tmp_path / "watched.rrd") == 0
+    assert rerun("compare", tmp_path / "made" / "alone.rrd", tmp_path / "made" / "watched.rrd") == 0
 
 
 # --- pictures
