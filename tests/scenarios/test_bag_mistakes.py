@@ -185,7 +185,7 @@ def test_places_where_no_bag_can_be_written(bag: Path, tmp_path: Path, capsys: p
     for path, words in (
         (str(bag), "exists already"),
         ("/dev/null/at/all.mcap", "cannot use the folder /dev/null/at"),
-        ("/proc/all.mcap", "/proc/all.mcap"),
+        ("/proc/all.mcap", "cannot use the folder /proc"),
         ("drive.bag", ".mcap"),
     ):
         assert words in complaint(capsys, "run", "open", "--record-bag", path)
