@@ -216,7 +216,8 @@ def load_dataset(folder: Path, kinds: Iterable[str] | None = None) -> tuple[Inte
     if unknown := wanted - set(get_args(Kind)):
         raise InterventionError(f"unknown intervention type {min(unknown)!r}; there are A, B and D")
     if not folder.is_dir():
-        raise InterventionError(f"{folder}: no such folder; `appli collect training --out {folder}` makes one")
+        is_file = "that is a file; " if folder.is_file() else ""
+        raise InterventionError(f"{folder}: {is_file}no such folder; `appli collect training --out DIR` makes one")
     paths = sorted(p for p in folder.glob("*.npz") if not p.name.startswith("."))
     if not paths:
         raise InterventionError(

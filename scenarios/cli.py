@@ -66,7 +66,7 @@ def parse(arguments: list[str]) -> Callable[[], int] | None:
     except SystemExit as stop:
         if stop.code in (0, None):
             return None
-        raise UserError(_one_line(said.getvalue())) from None
+        raise UserError(_one_line(said.getvalue(), arguments[0])) from None
     return call
 
 
@@ -80,17 +80,18 @@ def _deferred(command: Callable[..., int]) -> Callable[..., Callable[[], int]]:
     return prepare
 
 
-def _one_line(framed: str) -> str:
+def _one_line(framed: str, command: str) -> str:
     """tyro's framed error without its frame: the complaint, its suggestion, and where to read on."""
+    see = f"see: appli {command} --help" if command in COMMANDS else "see: appli --help"
     lines = [re.sub(r"^[│╭╰][─ ]?|[│╮╯]$", "", line).strip() for line in framed.splitlines()]
-    parts = [" ".join(part.split()) for part in re.split(r"(?m)^.*─{3,}.*$", "\n".join(lines))]
+    parts = [" ".join(part.split()) for part in re.split(r"(?m)^.*[─-]{3,}.*$", "\n".join(lines))]
     parts = [part for part in parts if part]
+    if "╭" not in framed:  # a terminal without Unicode: the title is not part of a frame
+        parts = parts[1:]
     if not parts:
-        return "cannot read the command line; try: appli --help"
+        return f"cannot read the command line; {see}"
     complaint = re.sub(r"^Missing from (appli\S*(?: \S+)?): (?:STR )?", r"\1 needs: ", parts[0])
     options = re.findall(r"--[a-z][a-z-]+", " ".join(p for p in parts[1:] if p.startswith("Perhaps")))
     maybe = f"; did you mean {options[0]}?" if options else ""
     names = next((p for p in parts[1:] if p.startswith("Available")), "")
-    more = re.search(r"appli(?: \w+)? --help", parts[-1])
-    see = f"; see: {more.group()}" if more else ""
-    return f"{complaint}{maybe}{'; ' + names if names else ''}{see}"
+    return f"{complaint}{maybe}{'; ' + names if names else ''}; {see}"

@@ -6,17 +6,18 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Literal
 
-from tyro.conf import OmitArgPrefixes, Positional
+from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from scenarios.bags.options import BagOptions
 from scenarios.errors import UserError
 from scenarios.switches import Switches
 
 Protocol = Literal["appli", "2020", "icra22"]
+WorldName = Annotated[str, arg(metavar="WORLD")]
 
 
 def run(
-    world: Positional[str],
+    world: Positional[WorldName],
     /,
     driver: str = "dwa",
     protocol: Protocol = "appli",
@@ -58,7 +59,7 @@ def run(
 
 
 def collect(
-    world: Positional[str | None] = None,
+    world: Positional[Annotated[str | None, arg(metavar="[WORLD]")]] = None,
     /,
     *,
     out: Path,
@@ -98,7 +99,7 @@ def collect(
 
 
 def teleop(
-    world: Positional[str],
+    world: Positional[WorldName],
     /,
     out: Path,
     surface: Literal["web", "window", "terminal"] = "web",

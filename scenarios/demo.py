@@ -7,7 +7,8 @@ import time
 from pathlib import Path
 
 from scenarios.collect import collect_command
-from scenarios.errors import blame
+from scenarios.errors import UserError, blame
+from scenarios.folders import make_folder
 from scenarios.recorded import open_recorder
 from scenarios.run import compile_kernels
 from scenarios.tables import plain_table, print_table
@@ -25,8 +26,9 @@ def demo_command(out: Path, seed: int, sessions: int) -> int:
 
     What an earlier demo left in the folder is used again: interventions, and the policy learned from them.
     """
-    with blame(f"cannot use the folder {out}"):
-        out.mkdir(parents=True, exist_ok=True)
+    if sessions < 1 or seed < 0:
+        raise UserError("--sessions must be 1 or more, and --seed 0 or more")
+    make_folder(out)
     compile_kernels()
     interventions, policy = out / "interventions", out / f"{METHOD}.safetensors"
     if policy.exists():

@@ -14,6 +14,8 @@ def make_folder(folder: Path) -> None:
     Raises UserError.
     """
     with blame(f"cannot use the folder {folder}"):
+        if folder.is_file():
+            raise ValueError("it is a file")
         folder.mkdir(parents=True, exist_ok=True)
         try:
             tempfile.TemporaryFile(dir=folder).close()

@@ -6,6 +6,7 @@ import json as json_module
 import math
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
@@ -52,6 +53,8 @@ def run_command(
         theta = PlannerParams() if params is None else read_params(params)
         world = load_world(world_name, protocol, start=start, goal=goal)
         spec = TrialSpec(world_name, protocol, driver, seed, 0, theta, switches)
+        if protocol != "appli" and world.rules.protocol == "course":
+            raise UserError(f"--protocol {protocol} is for BARN worlds; {world.name} has a start and a goal of its own")
         make_driver(spec)  # a wrong name or file is told before anything is compiled
     for path in (record, record_bag):
         if path is not None:
@@ -142,13 +145,19 @@ def read_params(path: Path) -> PlannerParams:
     if path.stat().st_size > PARAMS_LIMIT:
         raise ValueError(f"{path}: too large for a parameter file")
     try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        values, written = yaml.safe_load(text), yaml.compose(text)
     except UnicodeDecodeError as error:
         raise ValueError(f"{path}: not a text file; expected lines such as 'max_vel_x: 0.8'") from error
     except yaml.YAMLError as error:
-        raise ValueError(f"{path}: not YAML: {' '.join(str(error).split())}") from error
+        mark = getattr(error, "problem_mark", None)
+        line = f", line {mark.line + 1}" if mark else ""
+        raise ValueError(f"{path}{line}: not YAML; expected lines such as 'max_vel_x: 0.8'") from error
     if not isinstance(values, dict):
         raise ValueError(f"{path}: expected lines such as 'max_vel_x: 0.8'")
+    names = Counter(key.value for key, _ in written.value)
+    if twice := [name for name, count in names.items() if count > 1]:
+        raise ValueError(f"{path}: {twice[0]} is given twice")
     try:
         return PlannerParams.from_mapping({str(k): _number(v) for k, v in values.items()})
     except ValueError as error:

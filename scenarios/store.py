@@ -210,6 +210,8 @@ def _check_header(path: Path, write: bool) -> None:
         if not path.parent.is_dir():
             raise UserError(f"{path.parent} is not a folder; make it first, or give another --out") from None
         return
+    except IsADirectoryError:
+        raise UserError(f"{path} is a folder; give a file, such as {path / 'results.sqlite'}") from None
     except OSError as error:
         raise UserError(f"{path} cannot be read: {error.strerror or error}") from error
     if start != HEADER and not (write and not start):  # an empty file: a sweep was killed before its first commit

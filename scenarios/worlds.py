@@ -137,13 +137,14 @@ def _unknown(text: str) -> str:
 
 
 def _pose(value: str | Pose2 | None, option: str) -> Pose2 | None:
-    """A pose from "x,y" or "x,y,yaw"."""
+    """A pose from "x,y" or, for the start, "x,y,yaw"."""
     if value is None or isinstance(value, Pose2):
         return value
     try:
         numbers = [float(word) for word in value.split(",")]
     except ValueError:
         numbers = []
-    if len(numbers) not in (2, 3) or not all(math.isfinite(v) for v in numbers):
-        raise WorldError(f"{option} {value}: give x,y in metres and, if wanted, yaw in radians, as in {option}=1.5,0,0")
+    if len(numbers) not in ((2, 3) if option == "--start" else (2,)) or not all(math.isfinite(v) for v in numbers):
+        form = "x,y in metres and, if wanted, yaw in radians" if option == "--start" else "x,y in metres"
+        raise WorldError(f"{option} {value}: give {form}, as in {option}=1.5,0")
     return Pose2(numbers[0], numbers[1], numbers[2] if len(numbers) == 3 else 0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import resource
@@ -9,10 +10,13 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import numpy as np
 import pytest
+
+from scenarios.cli import main
 
 
 def appli(*arguments: str, cwd: Path | None = None, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -28,13 +32,16 @@ def appli(*arguments: str, cwd: Path | None = None, **environment: str) -> subpr
     )
 
 
-def complaint(*arguments: str, cwd: Path | None = None) -> str:
-    """The one line on stderr of a refused command."""
-    done = appli(*arguments, cwd=cwd)
-    assert done.returncode == 2, done.stderr
-    assert done.stdout == ""
-    lines = done.stderr.strip().splitlines()
-    assert len(lines) == 1, done.stderr
+def complaint(*arguments: str) -> str:
+    """The one line on stderr of a refused command; in this process, because starting one takes longer than refusing."""
+    stdout, stderr, on_sigterm = io.StringIO(), io.StringIO(), signal.getsignal(signal.SIGTERM)
+    with redirect_stdout(stdout), redirect_stderr(stderr), pytest.raises(SystemExit) as stop:
+        main(list(arguments))
+    signal.signal(signal.SIGTERM, on_sigterm)
+    assert stop.value.code == 2
+    assert stdout.getvalue() == ""
+    lines = stderr.getvalue().strip().splitlines()
+    assert len(lines) == 1, stderr.getvalue()
     assert lines[0].startswith("appli: ")
     assert "Traceback" not in lines[0]
     return lines[0]
@@ -105,9 +112,12 @@ def test_an_unknown_world_names_the_closest() -> None:
 @pytest.mark.parametrize(
     ("arguments", "word"),
     [
-        (["run"], "needs"),
+        (["run"], "needs: WORLD"),
         (["rnu", "open"], "Available"),
         (["run", "open", "--sed", "1"], "--seed"),
+        (["run", "open", "--sed", "1"], "appli run --help"),
+        (["run", "open", "--protocol", "2020"], "BARN"),
+        (["run", "open", "--goal", "1,2,3"], "x,y in metres"),
         (["run", "open", "--seed", "x"], "--seed"),
         (["run", "open", "--seed", "-1"], "--seed"),
         (["run", "open", "--protocol", "moon"], "icra22"),
@@ -120,12 +130,24 @@ def test_an_unknown_world_names_the_closest() -> None:
         (["run", "open", "--driver", "missing.safetensors"], "missing.safetensors"),
         (["bench", "--repeats", "0"], "--repeats"),
         (["collect", "open"], "--out"),
+        (["collect", "open", "--out", __file__], "it is a file"),
+        (["demo", "--sessions", "0", "--out", "/nowhere"], "--sessions"),
+        (["sweep", "--worlds", "open", "--methods", "dwa", "--runs", "1", "--out", "/"], "is a folder"),
         (["train", "/nowhere", "--out", "p.safetensors"], "/nowhere"),
+        (["train", __file__, "--out", "p.safetensors"], "is a file"),
         (["train", "/nowhere", "--out", "p.safetensors", "--types", "A,X"], "--types"),
     ],
 )
 def test_mistakes_get_one_line(arguments: list[str], word: str) -> None:
     assert word in complaint(*arguments)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "ascii"])  # the parser draws its frames differently
+def test_a_mistake_gets_the_same_line_on_every_terminal(encoding: str) -> None:
+    done = appli("rnu", "open", PYTHONIOENCODING=encoding)
+    assert done.returncode == 2
+    assert done.stderr.startswith("appli: Unrecognized options: rnu")
+    assert done.stderr.endswith("; see: appli --help\n")
 
 
 @pytest.mark.parametrize(
@@ -138,6 +160,7 @@ def test_mistakes_get_one_line(arguments: list[str], word: str) -> None:
         ("vx_samples: true\n", "number"),
         ("- 1\n- 2\n", "max_vel_x"),
         ("{", "YAML"),
+        ("max_vel_x: 0.8\nmax_vel_x: 0.9\n", "max_vel_x is given twice"),
         ("a: &a [1]\nb: !!python/object/apply:os.system ['true']\n", "YAML"),
     ],
 )
