@@ -158,7 +158,10 @@ def compare(archive: Path) -> list[str]:
 
 def main(arguments: Sequence[str]) -> int:
     """Print the comparison."""
-    if len(arguments) != 1 or not Path(arguments[0]).is_file():
+    if len(arguments) == 1 and not Path(arguments[0]).is_file():
+        print(f"scenarios.barn_metrics: {arguments[0]}: no such file", file=sys.stderr)
+        return 2
+    if len(arguments) != 1:
         print("usage: python -m scenarios.barn_metrics PATH/TO/barn_100.npz", file=sys.stderr)
         return 2
     print("\n".join(compare(Path(arguments[0]))))

@@ -90,11 +90,13 @@ def run_command(
 
 
 def summary(world: World, result: TrialResult, real_time_factor: float, record: Path | None) -> str:
-    """Three lines a person wants after a run."""
+    """The few lines a person wants after a run."""
     lines = [
         f"{world.name}: {result.outcome.value} after {result.time:.2f} s, {result.distance:.1f} m driven, "
         f"{result.recoveries} recoveries, {_closest(result.min_clearance)} ({real_time_factor:.0f} x real time)"
     ]
+    if result.outcome is Outcome.ABORTED:
+        lines.append("  move_base gave up: its recoveries did not help")
     if result.contact is not None:
         hit = result.contact
         lines.append(f"  touched {hit.obstacle} at ({hit.x:.2f}, {hit.y:.2f}) after {hit.time:.2f} s")
@@ -146,7 +148,8 @@ def read_params(path: Path) -> PlannerParams:
         raise ValueError(f"{path}: too large for a parameter file")
     try:
         text = path.read_text(encoding="utf-8")
-        values, written = yaml.safe_load(text), yaml.compose(text)
+        values = yaml.safe_load(text)
+        written: Any = yaml.compose(text)
     except UnicodeDecodeError as error:
         raise ValueError(f"{path}: not a text file; expected lines such as 'max_vel_x: 0.8'") from error
     except yaml.YAMLError as error:

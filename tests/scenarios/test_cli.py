@@ -11,12 +11,17 @@ import subprocess
 import sys
 import time
 from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from scenarios.cli import main
+from scenarios.run import summary
+from scenarios.trials import TrialSpec, run_trial
+from scenarios.worlds import load_world
+from twin.records import Outcome
 
 
 def appli(*arguments: str, cwd: Path | None = None, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -94,6 +99,12 @@ def test_an_unreachable_goal_runs_and_reports(tmp_path: Path) -> None:
     done = appli("run", str(course), "--json")
     assert done.returncode == 1, done.stderr
     assert json.loads(done.stdout)["outcome"] in {"timed_out", "aborted"}
+
+
+def test_giving_up_is_explained() -> None:
+    result, world = run_trial(TrialSpec("open")), load_world("open")
+    assert "gave up" not in summary(world, result, 1.0, None)
+    assert "gave up" in summary(world, replace(result, outcome=Outcome.ABORTED), 1.0, None)
 
 
 def test_equal_specs_in_two_processes_give_equal_streams() -> None:
