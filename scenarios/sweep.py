@@ -241,6 +241,7 @@ def _local_cluster(workers: int) -> LocalCluster:
         processes=True,
         host="127.0.0.1",
         dashboard_address=None,
+        scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # any free port: without it two sweeps want the same
         memory_limit=MEMORY,
         silence_logs=logging.CRITICAL,
     )

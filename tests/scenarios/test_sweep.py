@@ -5,10 +5,12 @@ from __future__ import annotations
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import psutil
@@ -27,6 +29,7 @@ ROOT = Path(__file__).resolve().parents[2]
 RUNS = 4
 TRIALS = 2 * RUNS
 PATIENCE = 90.0  # [s]
+DASK_PORT = 8787  # that a scheduler takes unless it is told otherwise
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 
 
@@ -61,7 +64,10 @@ def command(course: Path, policies: Path) -> Callable[..., list[str]]:
 def unbroken(command: Callable[..., list[str]], tmp_path_factory: pytest.TempPathFactory) -> list[StoredTrial]:
     """What the sweep gives when nothing happens to it."""
     out = tmp_path_factory.mktemp("unbroken") / "r.sqlite"
-    done = finish(start(command(out)))
+    with ExitStack() as stack:
+        with suppress(OSError):  # taken already: just as good
+            stack.enter_context(socket.create_server(("127.0.0.1", DASK_PORT)))
+        done = finish(start(command(out)))
     assert done.returncode == 0, done.stderr
     assert [p.name for p in out.parent.iterdir()] == [out.name]
     return facts(out)
@@ -82,6 +88,7 @@ def start(command: list[str], **environment: str) -> subprocess.Popen[str]:
 def finish(process: subprocess.Popen[str]) -> subprocess.CompletedProcess[str]:
     out, err = process.communicate(timeout=PATIENCE)
     assert "Traceback" not in err, err
+    assert "Warning" not in err, err
     return subprocess.CompletedProcess(process.args, process.returncode, out, err)
 
 
