@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field
 
 import tyro
 
-from scenarios.headroom import Options, measure
+from scenarios.headroom import Options, brief, measure
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,7 @@ def main(arguments: Arguments) -> None:
     print(f"{found.drives} drives each   time [s]  reached  gain [s]  +- [s]")
     for name, row in drivers.items():
         print(f"{name:16s}{row['time']:9.2f}{row['reached']:9.2f}{row['gain']:10.2f}{row['gain_error']:8.2f}")
-    print("optimum: " + ", ".join(f"{name} {value:.3g}" for name, value in found.params.as_dict().items()))
+    print(f"optimum: {brief(found.params)}")
     if found.share is not None:
         print(f"the policy reaches {found.share:.2f} of the optimum's gain")
 

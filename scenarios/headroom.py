@@ -31,9 +31,7 @@ Change = dict[str, Any]  # fields of a TrialSpec that replace those of the defau
 class Options:
     """Search one parameter set for the least mean traversal time, and compare it with the default on fresh seeds."""
 
-    worlds: str = (
-        "doorway"  # comma-separated: worlds as for `appli run`; a number: so many barn-like ones, evenly spread
-    )
+    worlds: str = "doorway"  # names with commas between, as for `appli run`; a number N = N of the 300 barn-like ones
     evaluations: int = 8  # parameter sets to try at most
     runs: int = 1  # drives per world in the search, all with the same noise; the comparison has 3 times as many, fresh
     policy: str = ""  # a trained policy (.safetensors): which share of the gain does it reach?
@@ -119,6 +117,11 @@ def race(pool: Executor, trials: list[TrialSpec], changes: list[Change], best: A
     return [best + d.mean() if o else np.r_[best[:third] + d, next(rest)] for d, o in zip(behind, out, strict=True)]
 
 
+def brief(params: PlannerParams) -> str:
+    """All eight in a line."""
+    return ", ".join(f"{name} {value:.3g}" for name, value in params.as_dict().items())
+
+
 def search(pool: Executor, trials: list[TrialSpec], options: Options) -> Change:
     """The best change. The default, and with it an occdist_scale of 0.01, are tried first."""
     tried: list[Change] = [{"params": PlannerParams()}, {"params": PlannerParams(occdist_scale=0.01)}]
@@ -130,7 +133,7 @@ def search(pool: Executor, trials: list[TrialSpec], options: Options) -> Change:
     while True:
         best = int(np.argmin([t.mean() for t in times]))
         last = " ".join(f"{t.mean():.1f}" for t in times[-POPULATION:])
-        print(f"{len(tried)} tried, last {last} s; best {times[best].mean():.2f} s {tried[best]}", file=sys.stderr)
+        print(f"{len(tried)} tried, last {last} s; best {times[best].mean():.2f} s", file=sys.stderr)
         count = POPULATION - len(tried) % POPULATION
         if len(tried) + count > options.evaluations:
             return tried[best]
