@@ -68,6 +68,7 @@ def test_own_driver(tmp_path: Path) -> None:
     assert_drawn(tmp_path / "drivers.png")
 
 
+@pytest.mark.slow
 def test_fit_intervention(tmp_path: Path) -> None:
     said = run("fit_intervention", "--evaluations", "60", "--steps", "30", "--plot", tmp_path / "fit.png").stdout
     shown, default, fitted = said.splitlines()[:3]
@@ -80,6 +81,7 @@ def test_fit_intervention(tmp_path: Path) -> None:
     assert_drawn(tmp_path / "fit.png")
 
 
+@pytest.mark.slow
 def test_evaluate_policy(tmp_path: Path) -> None:
     lines = run("evaluate_policy", "--worlds", "3", "--plot", tmp_path / "policy.png").stdout.splitlines()
     table = {line.split()[0]: line.split()[1:] for line in lines[:-1]}
@@ -92,6 +94,7 @@ def test_evaluate_policy(tmp_path: Path) -> None:
     assert_drawn(tmp_path / "policy.png")
 
 
+@pytest.mark.slow
 def test_scanned_room(tmp_path: Path) -> None:
     plot = tmp_path / "room.png"
     lines = run("scanned_room", "--plot", plot).stdout.splitlines()
@@ -105,6 +108,7 @@ def test_scanned_room(tmp_path: Path) -> None:
     assert numbers(again.splitlines()[1])[0] < numbers(lines[1])[0]  # a shorter way, straight ahead
 
 
+@pytest.mark.slow
 def test_confidence() -> None:
     header, *rows = run("confidence", "results/policies/A+B+c.safetensors", "1").stdout.splitlines()
     assert header.split()[:5] == ["world", "place", "steps", "confidence", "confident"]
@@ -118,6 +122,7 @@ def test_confidence() -> None:
         assert 0.0 <= share <= 1.0
 
 
+@pytest.mark.slow
 def test_headroom_in_the_open() -> None:
     done = run("headroom", "--workers", "1", "--worlds", "open", "--evaluations", "2", "--json")
     report = json.loads(done.stdout)

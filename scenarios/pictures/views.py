@@ -19,8 +19,8 @@ LEANING = -68.0  # [deg] so far from straight down that walls show their height
 
 def whole(world: World, size: tuple[int, int], azimuth: float = 90.0) -> View:
     """A parallel view of all of a world from above."""
-    ends = np.array([(p.x, p.y, 0.0) for p in (world.start, world.goal)])
-    corners = np.concatenate([ends, *map(_corners, world.obstacles)])
+    start = np.array([(world.start.x, world.start.y, 0.0)])
+    corners = np.concatenate([start, on_floor(goal_rim(world)), *map(_corners, world.obstacles)])
     return fitted(corners, size, azimuth)
 
 
@@ -39,6 +39,13 @@ def fitted(points: Array, size: tuple[int, int], azimuth: float = 90.0) -> View:
         -down * math.cos(e),
     )
     return replace(view, at=at, height=float(max(high_, wide * size[1] / size[0])))
+
+
+def goal_rim(world: World) -> list[tuple[float, float]]:
+    """Points of the plan round the area that counts as arrived."""
+    turns = np.linspace(0.0, 2 * math.pi, 36, endpoint=False)
+    x, y, radius = world.goal.x, world.goal.y, world.rules.goal_tolerance
+    return [(x + radius * math.cos(turn), y + radius * math.sin(turn)) for turn in turns]
 
 
 def on_floor(points: Iterable[tuple[float, float]]) -> Array:

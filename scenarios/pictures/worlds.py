@@ -8,7 +8,7 @@ from scipy.ndimage import distance_transform_edt
 
 from scenarios.pictures.ink import colour_of, label, tinted
 from scenarios.pictures.stage import Stage, View
-from scenarios.pictures.views import on_floor, whole
+from scenarios.pictures.views import goal_rim, on_floor, whole
 from scenarios.worlds import load_world
 from twin.records import Array, Pose2
 from twin.world import Box, Cylinder, Rules, World
@@ -49,6 +49,8 @@ def course(name: str) -> Image.Image:
         image, floor = stage.picture(view), stage.floor(view)
     areas = [(view.pixels(on_floor(s.polygon), size), colour_of(s.name)) for s in world.segments]
     image = tinted(image, floor, areas)
+    goal = view.pixels(on_floor(goal_rim(world)), size)
+    ImageDraw.Draw(floor).polygon([tuple(p) for p in goal], fill=0)  # it has a label of its own
     for segment, (outline, colour) in zip(world.segments, areas, strict=True):
         label(image, _middle(outline, floor), segment.name, colour)
     _mark_ends(image, view, world)

@@ -27,13 +27,13 @@ def layout(world: World, learned: bool, labels: Sequence[str] = ()) -> rrb.Bluep
     columns = [
         rrb.Vertical(views.lanes(), views.events()),
         rrb.Vertical(_plot("speed [m/s]"), _plot("turn rate [rad/s]", legend=False)),  # same colours
-        rrb.Vertical(_plot("clearance [m]"), _plot("confidence" if learned else "chosen arc")),
+        rrb.Vertical(_plot("clearance [m]", legend=False), _plot("confidence" if learned else "chosen arc")),
         rrb.Vertical(_plot("parameters"), _plot("samples"), row_shares=[2.1, 1.0]),
     ]
     shares = [1.0, 1.0, 1.0, 1.15]
     if labels:
         columns[2:3] = [
-            rrb.Vertical(_plot("clearance [m]"), _plot("chosen arc")),
+            rrb.Vertical(_plot("clearance [m]", legend=False), _plot("chosen arc")),
             rrb.Vertical(_plot("confidence"), views.plot("evidence", evidence_lines(labels))),
         ]
         shares = [1.0, 0.9, 0.9, 0.9, 1.0]
