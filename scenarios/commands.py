@@ -10,6 +10,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from scenarios.bags.options import BagOptions
 from scenarios.errors import UserError
+from scenarios.policy_options import PolicyOptions
 from scenarios.switches import Switches
 
 Protocol = Literal["appli", "2020", "icra22"]
@@ -134,8 +135,8 @@ def train(
     out: Path,
     types: str = "A,B",
     seed: int = 0,
-    confidence: bool = True,
     all_methods: bool = False,
+    policy: Annotated[PolicyOptions, OmitArgPrefixes] = PolicyOptions(),  # noqa: B008 (tyro reads the default; it is frozen)
 ) -> int:
     """Learn a policy from a folder of interventions: parameters by CMA-ES (Eq. 1), and the context classifier.
 
@@ -144,12 +145,12 @@ def train(
         out: The policy, one .safetensors file; with --all-methods a folder.
         types: Which interventions to use.
         seed: Of the search and of the training.
-        confidence: --no-confidence never falls back to the default parameters.
         all_methods: Make the policies of all the paper's methods: A, A+c, A+B, A+B+c, A+B+D, A+B+D+c.
+        policy: How the policy is made and used.
     """
     from scenarios.training import train_command
 
-    return train_command(interventions, out, types, seed, confidence, all_methods)
+    return train_command(interventions, out, types, seed, all_methods, policy)
 
 
 def view(recordings: Positional[tuple[Path, ...]], /, compare: bool = False, web: bool = False, port: int = 0) -> int:

@@ -9,6 +9,7 @@ from pathlib import Path
 from scenarios.collect import collect_command
 from scenarios.errors import UserError, blame
 from scenarios.folders import make_folder
+from scenarios.policy_options import PolicyOptions
 from scenarios.recorded import open_recorder
 from scenarios.run import compile_kernels
 from scenarios.tables import plain_table, print_table
@@ -40,7 +41,7 @@ def demo_command(out: Path, seed: int, sessions: int) -> int:
             _say(f"1. {sessions} sessions of a scripted intervener on the training course")
             collect_command("training", interventions, "appli", seed, sessions, rewinding=True, record=False)
         _say("2. learning planner parameters and the context classifier from types A and B")
-        train_command(interventions, policy, "A,B", seed, confidence=True, all_methods=False)
+        train_command(interventions, policy, "A,B", seed, False, PolicyOptions())
     _say("3. driving with the default parameters and with what was learned")
     table = plain_table("world", "method", "outcome", "time [s]", "closest [m]", "contexts")
     for world in WORLDS:

@@ -20,7 +20,8 @@ from scenarios.switches import Switches
 from scenarios.trials import TrialResult, TrialSpec, make_driver, result_as_dict, run_trial
 from scenarios.worlds import list_worlds, load_world
 from twin.planner.params import PlannerParams
-from twin.records import Outcome, Tick
+from twin.records import Decision, Observation, Outcome, Tick
+from twin.rollout import Driver
 from twin.world import World
 
 PARAMS_LIMIT = 64 * 1024  # bytes; a parameter file has eight lines
@@ -49,6 +50,7 @@ def run_command(
         raise UserError(f"--record-bag takes a file that ends in .mcap, not {record_bag}")
     if web and not view:
         raise UserError("--web goes with --view")
+    _refuse_what_the_driver_ignores(driver, params, switches)
     with blame():
         theta = PlannerParams() if params is None else read_params(params)
         world = load_world(world_name, protocol, start=start, goal=goal)
@@ -68,7 +70,8 @@ def run_command(
             viewer = stack.enter_context(open_viewer(web))
         began = time.perf_counter()
         watching = None if viewer is None else viewer.url
-        result = _run_watched(spec, world, record, record_bag, watching, quiet=json or not sys.stderr.isatty())
+        quiet = json or not sys.stderr.isatty()
+        result, faults = _run_watched(spec, world, record, record_bag, watching, quiet)
         wall = time.perf_counter() - began
         report = {
             "world": world.name,
@@ -76,17 +79,33 @@ def run_command(
             "driver": driver,
             "seed": seed,
             **result_as_dict(result),
+            "faults": faults,
             "wall_time": round(wall, 3),
             "real_time_factor": round(result.ticks * 0.05 / wall, 2),
             "recording": None if record is None else str(record),
             "bag": None if record_bag is None else str(record_bag),
         }
         print(json_module.dumps(report) if json else summary(world, result, report["real_time_factor"], record))
+        if faults and not json:
+            print(f"  {faults} scans could not be judged: they counted as the default context")
         if record_bag is not None and not json:
             print(f"  bag: {record_bag}")
         if viewer is not None:
             stay(viewer)
     return 0 if result.outcome is Outcome.REACHED else 1
+
+
+def _refuse_what_the_driver_ignores(driver: str, params: Path | None, switches: Switches) -> None:
+    """Raises UserError."""
+    if params is not None and driver != "dwa":
+        raise UserError(f"--params is for the driver dwa; {driver} has its own")
+    if not driver.endswith(".safetensors"):
+        return
+    for name, option in (("inflation", "--inflation"), ("couple_min_vel_theta", "--couple-min-vel-theta")):
+        if getattr(switches, name) != getattr(Switches(), name):
+            raise UserError(
+                f"{option} does not go with a policy, which drives as it was trained: see appli train --help"
+            )
 
 
 def summary(world: World, result: TrialResult, real_time_factor: float, record: Path | None) -> str:
@@ -111,8 +130,11 @@ def _closest(clearance: float) -> str:
 
 def _run_watched(
     spec: TrialSpec, world: World, record: Path | None, record_bag: Path | None, viewer: str | None, quiet: bool
-) -> TrialResult:
-    """Run with recorders and a progress line attached as asked; Ctrl-C closes the files first."""
+) -> tuple[TrialResult, int]:
+    """Run with recorders and a progress line attached as asked; Ctrl-C closes the files first.
+
+    Also returns how many scans the driver could not judge.
+    """
     watchers: list[Callable[[Tick], Any]] = [] if quiet else [_progress]
     recorded = record is not None or viewer is not None
     with blame(), ExitStack() as stack:  # closing a file can fail, too
@@ -130,8 +152,25 @@ def _run_watched(
             watchers.append(bag.add)
         if not quiet:
             stack.callback(lambda: print(file=sys.stderr))
+        counting = _CountingFaults(driver)
         with blame():
-            return run_trial(spec, world, lambda tick: [watch(tick) for watch in watchers], driver=driver)
+            result = run_trial(spec, world, lambda tick: [watch(tick) for watch in watchers], driver=counting)
+        return result, counting.faults
+
+
+class _CountingFaults:
+    """The same driver; remembers how many scans it could not judge."""
+
+    def __init__(self, driver: Driver) -> None:
+        self._driver, self.faults = driver, 0
+
+    def start(self) -> object:
+        return self._driver.start()
+
+    def decide(self, observation: Observation, memory: object) -> tuple[Decision, object]:
+        decision, memory = self._driver.decide(observation, memory)
+        self.faults = getattr(memory, "faults", 0)
+        return decision, memory
 
 
 def _progress(tick: Tick) -> None:

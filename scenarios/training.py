@@ -17,13 +17,15 @@ from rich.table import Column
 from learning.fit import FitResult, FitSettings
 from learning.interventions import Intervention, load_dataset
 from learning.labelled_scans import background_scans, labelled_scans, split
-from learning.policy import EPS_U, Context, Policy, Provenance
+from learning.policy import Context, Policy, PolicySwitches, Provenance
 from learning.policy_file import save_policy
 from scenarios.errors import UserError, blame
 from scenarios.fitting import fit_contexts
 from scenarios.folders import make_folder
+from scenarios.policy_options import PolicyOptions
 from scenarios.run import compile_kernels
 from scenarios.tables import plain_table, print_table
+from twin.planner.move_base import MoveBaseSettings
 from twin.planner.params import INTEGERS, PARAMETER_NAMES, ParameterSpace
 
 LOOSE = 0.25  # a parameter whose value may change by this share of its range at almost no cost is not determined
@@ -40,7 +42,7 @@ METHODS: dict[str, tuple[str, bool]] = {
 }
 
 
-def train_command(folder: Path, out: Path, types: str, seed: int, confidence: bool, all_methods: bool) -> int:
+def train_command(folder: Path, out: Path, types: str, seed: int, all_methods: bool, options: PolicyOptions) -> int:
     """Fit, train, save, and print what was learnt. Exit code 0."""
     wanted = ("A,B,D" if all_methods else types).split(",")
     if not set(wanted) <= {"A", "B", "D"}:
@@ -50,6 +52,7 @@ def train_command(folder: Path, out: Path, types: str, seed: int, confidence: bo
     if seed < 0:
         raise UserError(f"--seed must be 0 or more, not {seed}")
     with blame():
+        planner = bare_policy(options).settings(MoveBaseSettings()).planner
         everything = load_dataset(folder)
         interventions = load_dataset(folder, wanted)
     with blame(str(folder)):
@@ -66,20 +69,26 @@ def train_command(folder: Path, out: Path, types: str, seed: int, confidence: bo
     make_folder(out if all_methods else out.parent)
     compile_kernels()
     with blame():
-        fits = fit_contexts(interventions, FitSettings(seed=seed))
+        fits = fit_contexts(interventions, FitSettings(seed=seed, planner=planner))
         print_fits(fits)
         if not all_methods:
-            _save(replace(make_policy(everything, fits, types, seed), use_confidence=confidence), out)
+            _save(make_policy(everything, fits, types, seed, options), out)
             print(f"policy: {out}   drive with it: appli run unseen --driver {out}")
             return 0
         policies: dict[str, Policy] = {}
         for used, names in _methods_by_types().items():
-            policy = make_policy(everything, fits, used, seed)
+            policy = make_policy(everything, fits, used, seed, options)
             policies |= {name: replace(policy, use_confidence=METHODS[name][1]) for name in names}
         for name, policy in policies.items():  # at the end, so that old and new ones do not mix if it is interrupted
             _save(policy, out / f"{name}.safetensors")
     print(f"{len(METHODS)} policies in {out}")
     return 0
+
+
+def bare_policy(options: PolicyOptions) -> Policy:
+    """A policy that has learnt nothing yet. Raises PolicyError."""
+    switches = PolicySwitches(options.path_gate, options.inflation, options.couple_min_vel_theta)
+    return Policy((), eps_u=options.eps_u, window=options.window, use_confidence=options.confidence, switches=switches)
 
 
 def _save(policy: Policy, path: Path) -> None:
@@ -106,7 +115,9 @@ def check_teachable(interventions: Sequence[Intervention]) -> None:
     split(dataset, 0.5, np.random.default_rng(0))
 
 
-def make_policy(everything: Sequence[Intervention], fits: dict[str, FitResult], types: str, seed: int) -> Policy:
+def make_policy(
+    everything: Sequence[Intervention], fits: dict[str, FitResult], types: str, seed: int, options: PolicyOptions
+) -> Policy:
     """The contexts of these types with their theta, and a classifier when there is something to tell apart.
 
     Interventions of the other types show places of no context, in which the classifier learns to be unsure.
@@ -118,13 +129,13 @@ def make_policy(everything: Sequence[Intervention], fits: dict[str, FitResult], 
     curves = {label: [(float(n), float(loss)) for n, _, loss in best_so_far(fit)] for label, fit in fits.items()}
     classifier, figures = None, {}
     if len(labels) > 1:
-        from learning.evidential import TrainingOptions, train
+        from learning.evidential import PLAIN, TrainingOptions, train
 
+        training = replace(PLAIN if options.plain else TrainingOptions(), seed=seed, threshold=options.eps_u)
         say = functools.partial(print, file=sys.stderr, flush=True)
-        options = TrainingOptions(seed=seed)
-        background = background_scans(interventions, others if options.ood_weight > 0.0 else [])
+        background = background_scans(interventions, others if training.ood_weight > 0.0 else [])
         say(f"appli train: classifier for {', '.join(labels)}, {len(background)} scans of other places ...")
-        trained = train(labelled_scans(interventions), options, background=background)
+        trained = train(labelled_scans(interventions), training, background=background)
         classifier = trained.classifier
         figures = trained.report.figures() | {"background_scans": float(len(background))}
         curves["classifier"] = [
@@ -135,8 +146,9 @@ def make_policy(everything: Sequence[Intervention], fits: dict[str, FitResult], 
             f"appli train: held out: accuracy {accuracy:.2f}, confidence {certain:.2f}, "
             f"evidence x {trained.report.evidence_factor:.2f}; {trained.report.seconds:.0f} s"
         )
-        if certain < EPS_U:
-            say(f"appli train: below {EPS_U} the default parameters are taken: more sessions make it surer of itself")
+        if certain < options.eps_u:
+            low = f"below {options.eps_u:g} the default parameters are taken"
+            say(f"appli train: {low}: more sessions make it surer of itself")
     provenance = Provenance(
         interventions={i.digest: i.label for i in interventions},
         losses={label: (result.default_loss, result.loss) for label, result in fits.items()},
@@ -148,7 +160,8 @@ def make_policy(everything: Sequence[Intervention], fits: dict[str, FitResult], 
         types=types,
         seed=seed,
     )
-    return Policy(tuple(Context(label, fits[label].theta) for label in labels), classifier, provenance=provenance)
+    contexts = tuple(Context(label, fits[label].theta) for label in labels)
+    return replace(bare_policy(options), contexts=contexts, classifier=classifier, provenance=provenance)
 
 
 def best_so_far(result: FitResult) -> list[tuple[float, float, float]]:

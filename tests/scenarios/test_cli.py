@@ -17,10 +17,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from learning.policy import Context, Policy
+from learning.policy_file import save_policy
 from scenarios.cli import main
 from scenarios.run import summary
 from scenarios.trials import TrialSpec, run_trial
 from scenarios.worlds import load_world
+from tests.learning.classifiers import FAR, NEAR, range_classifier
+from twin.planner.params import PlannerParams
 from twin.records import Outcome
 
 
@@ -101,6 +105,16 @@ def test_an_unreachable_goal_runs_and_reports(tmp_path: Path) -> None:
     assert json.loads(done.stdout)["outcome"] in {"timed_out", "aborted"}
 
 
+def test_scans_that_cannot_be_judged_are_counted(tmp_path: Path) -> None:
+    contexts = (Context(NEAR, PlannerParams()), Context(FAR, PlannerParams()))
+    save_policy(Policy(contexts, range_classifier()), tmp_path / "p.safetensors")
+    blind = json.loads(appli("run", "open", "--driver", str(tmp_path / "p.safetensors"), "--json").stdout)
+    assert blind["faults"] == blind["ticks"]
+    assert blind["contexts"] == {"default": 1.0}
+    seeing = json.loads(appli("run", "doorway", "--driver", str(tmp_path / "p.safetensors"), "--json").stdout)
+    assert seeing["faults"] == 0
+
+
 def test_giving_up_is_explained() -> None:
     result, world = run_trial(TrialSpec("open")), load_world("open")
     assert "gave up" not in summary(world, result, 1.0, None)
@@ -139,6 +153,9 @@ def test_an_unknown_world_names_the_closest() -> None:
         (["run", "open", "--record", "course.toml"], ".rrd"),
         (["run", "open", "--driver", "theta:Z9"], "theta:B1"),
         (["run", "open", "--driver", "missing.safetensors"], "missing.safetensors"),
+        (["run", "open", "--driver", "theta:B1", "--params", "p.yaml"], "--params is for the driver dwa"),
+        (["run", "open", "--driver", "p.safetensors", "--inflation", "local"], "--inflation does not go with a policy"),
+        (["run", "open", "--driver", "p.safetensors", "--couple-min-vel-theta"], "--couple-min-vel-theta does not"),
         (["bench", "--repeats", "0"], "--repeats"),
         (["collect", "open"], "--out"),
         (["collect", "open", "--out", __file__], "it is a file"),

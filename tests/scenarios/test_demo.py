@@ -20,7 +20,7 @@ def test_demo_collects_learns_drives_and_uses_what_is_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     quick = FitSettings(max_evaluations=24, restarts=0, max_steps=8)
-    monkeypatch.setattr(training, "FitSettings", lambda seed: replace(quick, seed=seed))
+    monkeypatch.setattr(training, "FitSettings", lambda **changes: replace(quick, **changes))
     monkeypatch.setattr(demo, "WORLDS", ("open",))
     monkeypatch.setattr("learning.evidential.TrainingOptions", _few_steps)
     arguments = ["demo", "--out", str(tmp_path), "--sessions", "1"]
@@ -42,7 +42,7 @@ def test_demo_collects_learns_drives_and_uses_what_is_there(
     assert "A+B+c" in capsys.readouterr().out
 
 
-def _few_steps(seed: int) -> object:
+def _few_steps() -> object:
     from learning.evidential import PLAIN
 
-    return replace(PLAIN, steps=40, least_steps=0, refit=False, seed=seed)
+    return replace(PLAIN, steps=40, least_steps=0, refit=False)

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from learning.fit import FitSettings, fit
+from learning.fit import FitResult, FitSettings, fit
 from learning.interventions import Intervention, Kind, Step, save_intervention
-from learning.policy import Policy
+from learning.policy import EPS_U, WINDOW, Policy, PolicySwitches
 from learning.policy_file import load_policy
 from scenarios import training
 from scenarios.cli import main
@@ -27,6 +27,7 @@ from scenarios.training import METHODS, labelled_scans
 from tests.learning.observations import METADATA, slalom_drive
 from tests.learning.test_policy import POLICY, changed
 from twin.planner.params import PlannerParams
+from twin.planner.plan import PlannerSettings
 from twin.records import Command
 
 QUICK = FitSettings(max_evaluations=24, restarts=0, max_steps=4)
@@ -63,6 +64,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(training, "FitSettings", functools.partial(FitSettings, max_evaluations=12, restarts=0))
     options = functools.partial(evidential.TrainingOptions, steps=100, least_steps=0, ood_scans=20, refit=False)
     monkeypatch.setattr(evidential, "TrainingOptions", options)
+    monkeypatch.setattr(evidential, "PLAIN", replace(evidential.PLAIN, steps=100, least_steps=0, refit=False))
 
 
 @pytest.fixture
@@ -205,6 +207,8 @@ def test_a_second_ctrl_c_ends_everything_and_writes_nothing(tmp_path: Path) -> N
         (["--types", "A,C"], "--types takes A, B and D"),
         (["--types", "a"], "--types takes A, B and D"),
         (["--seed", "-1"], "--seed must be 0 or more"),
+        (["--eps-u", "-0.1"], "eps_u must be 0 or more"),
+        (["--window", "0"], "window must be 1 to"),
         (["--all-methods"], "no interventions of type D, which --all-methods needs"),
         (["--out", "p.policy"], "--out must end in .safetensors"),
         (["--out", "/proc/p.safetensors"], "cannot use the folder /proc: "),
@@ -336,6 +340,35 @@ def test_all_methods_are_the_papers_six(tmp_path: Path) -> None:
         assert sorted(policy.provenance.interventions.values()) == list(policy.labels)
         for label in policy.labels:
             assert policy.theta(label) == policies["A+B+D"].theta(label), "every context is fitted once"
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("quick")
+def test_a_policy_is_made_and_driven_under_its_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    planners = []
+
+    def fitted(interventions: list[Intervention], settings: FitSettings) -> dict[str, FitResult]:
+        planners.append(settings.planner)
+        return {i.label: fit(i, QUICK) for i in interventions}
+
+    monkeypatch.setattr(training, "fit_contexts", fitted)
+    monkeypatch.setattr(training, "print_fits", lambda _: None)
+    data, out = folder_of(tmp_path / "iv", made_up("A1"), made_up("B1")), tmp_path / "p.safetensors"
+    switches = ["--path-gate", "--inflation", "local", "--couple-min-vel-theta", "--no-confidence"]
+    assert train(data, "--out", out, "--eps-u", "0.7", "--window", "5", "--plain", *switches) == 0
+    policy = load_policy(out)
+    assert (policy.eps_u, policy.window, policy.use_confidence) == (0.7, 5, False)
+    assert policy.switches == PolicySwitches(path_gate=True, inflation="local", couple_min_vel_theta=True)
+    assert (planners[0].inflation, planners[0].couple_min_vel_theta) == ("local", True)
+    assert policy.classifier is not None
+    assert policy.classifier.hidden is None
+    assert train(data, "--out", out) == 0
+    policy = load_policy(out)
+    assert (policy.eps_u, policy.window, policy.use_confidence) == (EPS_U, WINDOW, True)
+    assert policy.switches == PolicySwitches()
+    assert planners[1] == PlannerSettings()
+    assert policy.classifier is not None
+    assert policy.classifier.hidden is not None
 
 
 @pytest.mark.usefixtures("quick")
