@@ -4,6 +4,7 @@ Drives training and unseen with the policy and sorts the scans by the place they
 one of the policy's contexts it should be right and confident, elsewhere it should not be confident.
 """
 
+import sys
 from collections import defaultdict
 from pathlib import Path
 from typing import Annotated
@@ -24,7 +25,8 @@ def main(
 ) -> None:
     """Print a line per place."""
     policy = load_policy(Path(path))
-    assert policy.classifier is not None
+    if policy.classifier is None or seeds < 1:
+        sys.exit("confidence: give a policy of two or more contexts, and 1 or more drives")
     judge = policy.classifier.judge
     print("world      place   steps  confidence  confident  the confident ones are judged as")
     for name in ("training", "unseen"):

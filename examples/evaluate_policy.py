@@ -4,6 +4,7 @@ Both drive ten BARN-like worlds, from the easiest to the hardest, under the same
 the 50 s of the paper. For many worlds and runs there is `appli sweep` and `appli report`.
 """
 
+import sys
 from concurrent.futures import ProcessPoolExecutor
 from itertools import product
 from multiprocessing import get_context
@@ -13,7 +14,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from scenarios import TrialResult, TrialSpec, load_world, run_trial
+from scenarios import TrialSpec, run_trial
 from scenarios.report.figures.style import BLUE, GREY, INK, drawing
 from scenarios.run import compile_kernels
 from scenarios.statistics import PENALTIES
@@ -27,12 +28,15 @@ def main(
     plot: Path = Path("out/policy.png"),
 ) -> None:
     """Drive, print a line per world and the means, plot."""
+    if min(worlds, runs) < 1:
+        sys.exit("evaluate_policy: --worlds and --runs must be 1 or more")
     names = [f"barn-like/{k:.0f}" for k in np.linspace(0, 299, worlds).round()]
     specs = [TrialSpec(n, driver=d, run=k) for n, d, k in product(names, ("dwa", policy), range(runs))]
     with ProcessPoolExecutor(None, get_context("spawn"), compile_kernels) as pool:
         results = list(pool.map(run_trial, specs))
-    seconds = np.array([traversal_time(*pair) for pair in zip(specs, results, strict=True)]).reshape(-1, 2, runs)
-    means, arrived = seconds.mean(2), np.array([r.outcome is Outcome.REACHED for r in results]).reshape(-1, 2, runs)
+    arrived = np.array([r.outcome is Outcome.REACHED for r in results]).reshape(-1, 2, runs)
+    seconds = np.array([r.time for r in results]).reshape(-1, 2, runs)
+    means = np.where(arrived, seconds, PENALTIES["appli"]).mean(2)
     print(f"{'world':16s}{'default [s]':>12s}{'policy [s]':>12s}")
     for name, (default, ours) in zip(names, means, strict=True):
         print(f"{name:16s}{default:12.1f}{ours:12.1f}")
@@ -48,11 +52,6 @@ def main(
     plot.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(plot, dpi=150, bbox_inches="tight")
     print(f"plot: {plot}")
-
-
-def traversal_time(spec: TrialSpec, result: TrialResult) -> float:
-    """[s] as the paper counts it."""
-    return result.time if result.outcome is Outcome.REACHED else PENALTIES[load_world(spec.world).rules.protocol]
 
 
 if __name__ == "__main__":

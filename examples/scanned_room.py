@@ -48,6 +48,7 @@ def main(mesh: Path | None = None, start: str = "1,1,0", goal: str = "5,3", plot
     with floor_plan(world) as (figure, axes):
         axes.plot([t.true_pose.x for t in ticks], [t.true_pose.y for t in ticks], color=BLUE, linewidth=2.2)
         axes.set_title(f"{mesh.name}: {result.outcome} after {result.time:.1f} s")
+    plot.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(plot, dpi=150, bbox_inches="tight")
     print(f"plot: {plot}")
 

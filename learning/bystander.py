@@ -16,11 +16,10 @@ from typing import Literal
 
 import numpy as np
 
+from learning.expert import TICK
 from twin.free_space import FreeSpace
 from twin.geometry import normalize_angle
 from twin.records import Array, Pose2
-
-TICK = 0.05  # [s]
 
 STUCK_TIME, STUCK_PROGRESS = 4.0, 0.35  # A: less than 0.35 m towards the goal in 4 s
 BACK_WITHIN, BACK_TIME, BACK_SPEED = 6.0, 0.3, -0.10  # A: drives backwards for 0.3 of the last 6 s

@@ -13,14 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from learning.bystander import Bystander, Sight, Trouble
-from learning.expert import ROOM, Expert, Hand, Retreat
+from learning.expert import ROOM, TICK, Expert, Hand, Retreat
 from learning.interventions import Kind
 from learning.route import BRISK, CAREFUL, distance_field, plan_route
 from twin.free_space import FreeSpace, free_space
 from twin.records import Array, Command, Pose2, Twist2
 from twin.world import Segment, World
 
-TICK = 0.05  # [s]
 LEAD = 0.5  # [s] the rewind goes this much further back than where the trouble began
 LEAST, MOST = 4.0, 12.0  # [s] a demonstration lasts
 ORDINARY_TIME = 2.0  # [s] a place passed in less is not worth a demonstration of type D

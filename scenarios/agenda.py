@@ -91,8 +91,12 @@ def expand(item: str) -> list[str]:
     """One entry of --worlds to names that `appli run` knows. Raises WorldError.
 
     barn-like is all of the generated worlds, barn-like/0-99 some; FILE.npz is all worlds of an archive, FILE.npz#0-99
-    those of them with such an index.
+    those of them with such an index; a folder is its *.world files.
     """
+    if Path(item).is_dir():
+        if names := sorted(map(str, Path(item).glob("*.world"))):
+            return names
+        raise WorldError(f"{item} is a folder without *.world files; name files of another kind themselves")
     if item == "barn-like":
         return [f"barn-like/{k}" for k in range(COUNT)]
     if match := re.fullmatch(r"barn-like/(\d{1,6})(?:-|\.\.)(\d{1,6})", item):
@@ -161,6 +165,16 @@ def _policy_bytes(name: str, folder: Path | None) -> bytes:
 def missing(jobs: Iterable[Job], done: set[str]) -> list[Job]:
     """The jobs that are not done, in order."""
     return [job for job in jobs if job.key not in done]
+
+
+def check_names(agenda: Agenda, rows: Iterable[StoredTrial]) -> None:
+    """A policy keeps its name within a store: the same trials under another would not be found. Raises UserError."""
+    ours = {job.key: job.method for job in agenda.jobs}
+    for row in rows:
+        if ours.get(row.key, row.method) != row.method:
+            raise UserError(
+                f"the policy {ours[row.key]} is in this file as {row.method}; keep to that name, or give another --out"
+            )
 
 
 def other_versions(agenda: Agenda, rows: Iterable[StoredTrial]) -> list[str]:

@@ -1,6 +1,6 @@
 """BARN's five difficulty metrics, and the comparison of generated worlds with the published ones.
 
-    python -m scenarios.barn_metrics ../shared/barn/barn_100.npz
+    python -m scenarios.barn_metrics barn_100.npz
 
 All metrics look at the C-space and are averaged over the cells of the reference path, in cells.
 """

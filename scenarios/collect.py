@@ -22,20 +22,20 @@ from scenarios.errors import UserError, blame
 from scenarios.folders import make_folder
 from scenarios.run import compile_kernels
 from scenarios.tables import plain_table, print_table
-from scenarios.teaching import highest_numbers
+from scenarios.teaching import TAPE, highest_numbers
 from scenarios.trials import TrialSpec, make_driver, make_simulation
-from scenarios.worlds import load_world
+from scenarios.worlds import check_protocol, load_world
 from twin.geometry import distance
-from twin.records import STOP, Array, Pose2, Tick
+from twin.records import STOP, Array, Pose2, Tick, Twist2
 from twin.rewind import Tape
 from twin.rollout import Loop
+from twin.simulation import TICK
 from twin.world import World
 
-TICK = 0.05  # [s]
 TRAIL_SPACING = 0.04  # [m]
-TAPE = 60.0  # [s] that can be wound back
 LEAD = 3.0  # [s] of the default's drive that a recording shows before the trouble, or before where it is wound back to
-PATIENCE = 12  # interventions at one place before the session gives up
+SHOWN = 40.0  # [s] of that drive at most: 14 MB each
+PATIENCE = 12  # times that help at a place may be needed again before the session gives up
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +46,18 @@ class Collected:
     place: str
     min_clearance: float  # [m] during the demonstration
     ticks: tuple[Tick, ...]  # the demonstration
-    before: tuple[Tick, ...]  # the default's drive that led to it, up to where it was noticed
+    before: tuple[Tick, ...]  # the default's drive that led to it, up to where it was noticed; empty unless explained
     start: int  # tick of that drive that was wound back to; after the last = not wound back
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """What is kept of a tick for the whole drive; the tick itself holds maps of 640 kB."""
+
+    time: float  # [s]
+    pose: Pose2  # odom
+    twist: Twist2
+    true_pose: Pose2  # world
 
 
 class Labels:
@@ -95,7 +105,8 @@ class Session:
         self._tape = Tape(Loop(make_simulation(spec, world), make_driver(spec, explain)), TAPE)
         self._intervener = Intervener(world, rewinding)
         self._rng = np.random.default_rng([spec.seed, world.index, spec.run, 1])  # the human's hand
-        self._ticks: dict[int, Tick] = {}
+        self._past: dict[int, Moment] = {}  # by tick
+        self._shown: dict[int, Tick] | None = {} if explain else None  # the last SHOWN seconds
         self._labels = labels or Labels(world)
         self._helped = 0
 
@@ -104,7 +115,7 @@ class Session:
         over = False
         while not over:
             tick = self._tape.step()
-            self._ticks[tick.index] = tick
+            self._remember(tick)
             over = tick.outcome is not None
             plea = self._intervener.watch(tick.index, tick.true_pose, over, tick.contact is not None)
             if plea is None or (over and not self._rewinding):  # without rewinding, over is over
@@ -120,6 +131,13 @@ class Session:
             if new:
                 keep(collected)
 
+    def _remember(self, tick: Tick) -> None:
+        x = tick.observation
+        self._past[tick.index] = Moment(x.time, x.pose, x.twist, tick.true_pose)
+        if self._shown is not None:
+            self._shown[tick.index] = tick
+            self._shown.pop(tick.index - round(SHOWN / TICK), None)
+
     def _intervene(self, plea: Plea, new: bool, over: bool) -> tuple[Collected, bool]:
         """Wind back and drive by hand. True when the trial is over afterwards.
 
@@ -127,10 +145,11 @@ class Session:
         (types B and D) it goes on from where it had got to: the better drive was an excursion.
         """
         start = max(plea.start, self._tape.oldest) if self._rewinding else self._tape.position
-        began = self._ticks[max(plea.began, start) if self._rewinding else plea.began].observation
+        began = self._past[max(plea.began, start) if self._rewinding else plea.began]
         rewound = max(0.0, (plea.noticed - start) * TICK)
         first = min(start, plea.began) - round(LEAD / TICK)
-        before = tuple(self._ticks[k] for k in range(first, plea.noticed + 1) if k in self._ticks)
+        shown = self._shown or {}
+        before = tuple(shown[k] for k in range(first, plea.noticed + 1) if k in shown)
         if plea.kind == "A" or not self._rewinding:
             self._tape.rewind(start)
             ticks, good = self._drive_by_hand(plea, start)
@@ -160,7 +179,7 @@ class Session:
 
     def _drive_by_hand(self, plea: Plea, start: int) -> tuple[list[Tick], list[bool]]:
         """The person's drive from tick `start` until handed back or the trial ends; which ticks are worth learning."""
-        simulation, twist = self._tape.loop.simulation, self._ticks[min(start, plea.noticed)].observation.twist
+        simulation, twist = self._tape.loop.simulation, self._past[min(start, plea.noticed)].twist
         trail = None if self._rewinding else self._trail(plea.noticed)
         by_hand = Demonstration.begin(self._intervener, plea, start, simulation.true_pose, twist, trail)
         ticks: list[Tick] = []
@@ -170,16 +189,16 @@ class Session:
             ticks.append(self._tape.step(command))
             good.append(by_hand.good)
             if plea.kind == "A" or not self._rewinding:
-                self._ticks[ticks[-1].index] = ticks[-1]
+                self._remember(ticks[-1])
             if ticks[-1].outcome is not None:
                 break
         return ticks, good
 
     def _trail(self, newest: int) -> Array:
         """(n, 2) where the robot has been, newest first, a point every few centimetres."""
-        points = [self._ticks[newest].true_pose]
-        for index in range(newest, min(self._ticks) - 1, -1):
-            pose = self._ticks[index].true_pose
+        points = [self._past[newest].true_pose]
+        for index in range(newest, min(self._past) - 1, -1):
+            pose = self._past[index].true_pose
             if distance(pose, points[-1]) > TRAIL_SPACING:
                 points.append(pose)
         return np.array([[p.x, p.y] for p in points])
@@ -199,6 +218,7 @@ def collect_command(
         raise UserError(f"--sessions must be 1 or more, not {sessions}")
     with blame():
         world = load_world(world_name, protocol)
+        check_protocol(world, protocol)
     make_folder(out)
     compile_kernels()
     table = plain_table(Column("file", no_wrap=True), "label", "rewound [s]", "steps", "closest [m]", "trouble")

@@ -196,8 +196,8 @@ def sweep(
 
     Args:
         out: The results, one SQLite file with a row per trial.
-        worlds: Names with commas between, as for `appli run`; also barn-like (all 300), barn-like/0-99, and FILE.npz
-            (all in it) or FILE.npz#0-99.
+        worlds: Names with commas between, as for `appli run`; also barn-like (all 300), barn-like/0-99, FILE.npz
+            (all in it) or FILE.npz#0-99, and a folder of *.world files.
         methods: Names with commas between: dwa, and the names of policies such as A+B+c.
         runs: Trials per world and method.
         policies: Folder with a policy NAME.safetensors per method (see appli train --all-methods).

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 import time
 from pathlib import Path
@@ -39,7 +40,10 @@ def demo_command(out: Path, seed: int, sessions: int) -> int:
             _say(f"using {interventions}")
         else:
             _say(f"1. {sessions} sessions of a scripted intervener on the training course")
-            collect_command("training", interventions, "appli", seed, sessions, rewinding=True, record=False)
+            unfinished = out / "interventions.part"
+            shutil.rmtree(unfinished, ignore_errors=True)
+            collect_command("training", unfinished, "appli", seed, sessions, rewinding=True, record=False)
+            unfinished.replace(interventions)
         _say("2. learning planner parameters and the context classifier from types A and B")
         train_command(interventions, policy, "A,B", seed, False, PolicyOptions())
     _say("3. driving with the default parameters and with what was learned")

@@ -16,12 +16,13 @@ from typing import Annotated
 import numpy as np
 import tyro
 
+from scenarios.statistics import PENALTIES
 from scenarios.trials import TrialSpec, run_trial
 from scenarios.worlds import load_world
 from twin.records import Outcome
 
 FIELDS = ("protocol", "world", "run", "outcome", "time", "recoveries", "touched", "min_clearance")
-CAP = {"2020": 50.0, "icra22": 100.0}  # [s] what a run that did not arrive counts as (barn/README.md)
+PROTOCOLS = ("2020", "icra22")
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,12 +74,12 @@ def table(rows: list[dict[str, str]]) -> str:
         "| protocol | trials | mean s | median s | mean of successes s | success | collision | late | touched |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
-    for protocol, cap in CAP.items():
+    for protocol in PROTOCOLS:
         of = [row for row in rows if row["protocol"] == protocol]
         if not of:
             continue
         late = {Outcome.TIMED_OUT.value, Outcome.ABORTED.value}
-        times = np.array([cap if row["outcome"] in late else float(row["time"]) for row in of])
+        times = np.array([PENALTIES[protocol] if row["outcome"] in late else float(row["time"]) for row in of])
         reached = np.array([row["outcome"] == Outcome.REACHED.value for row in of])
         collided = np.array([row["outcome"] == Outcome.COLLIDED.value for row in of])
         touched = np.mean([row["touched"] == "1" for row in of])
@@ -92,10 +93,14 @@ def table(rows: list[dict[str, str]]) -> str:
 
 def main(options: Annotated[Options, tyro.conf.OmitArgPrefixes]) -> None:
     """Run what is missing, then print the table."""
+    if not options.barn.is_file():
+        sys.exit(f"scenarios.fidelity: {options.barn}: no such file")
     options.out.parent.mkdir(parents=True, exist_ok=True)
     rows = list(csv.DictReader(options.out.open())) if options.out.exists() else []
     done = {(row["protocol"], row["world"], row["run"]) for row in rows}
     todo = [s for s in trials(options) if (s.protocol, s.world.rsplit("#")[-1], str(s.run)) not in done]
+    if rows:
+        print(f"{len(rows)} trials of {options.out} count; remove it after a change of the code", file=sys.stderr)
     with options.out.open("a", newline="") as file, ProcessPoolExecutor(options.workers) as pool:
         writer = csv.DictWriter(file, FIELDS)
         if not rows:

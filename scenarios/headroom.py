@@ -85,6 +85,8 @@ def default_trials(options: Options, begin: int, end: int) -> list[TrialSpec]:
     names, runs = [], range(begin * options.runs, end * options.runs)
     for word in options.worlds.split(","):
         if word.isdigit():
+            if int(word) < 1:
+                raise ValueError("--worlds takes a number of 1 or more")
             names += [f"barn-like/{k:.0f}" for k in np.linspace(0, COUNT - 1, int(word)).round()]
         else:
             load_world(word)  # must exist

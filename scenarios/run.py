@@ -18,10 +18,11 @@ from scenarios.errors import UserError, blame
 from scenarios.folders import make_folder
 from scenarios.switches import Switches
 from scenarios.trials import TrialResult, TrialSpec, make_driver, result_as_dict, run_trial
-from scenarios.worlds import list_worlds, load_world
+from scenarios.worlds import check_protocol, list_worlds, load_world
 from twin.planner.params import PlannerParams
 from twin.records import Decision, Observation, Outcome, Tick
 from twin.rollout import Driver
+from twin.simulation import TICK
 from twin.world import World
 
 PARAMS_LIMIT = 64 * 1024  # bytes; a parameter file has eight lines
@@ -55,8 +56,7 @@ def run_command(
         theta = PlannerParams() if params is None else read_params(params)
         world = load_world(world_name, protocol, start=start, goal=goal)
         spec = TrialSpec(world_name, protocol, driver, seed, 0, theta, switches)
-        if protocol != "appli" and world.rules.protocol == "course":
-            raise UserError(f"--protocol {protocol} is for BARN worlds; {world.name} has a start and a goal of its own")
+        check_protocol(world, protocol)
         make_driver(spec)  # a wrong name or file is told before anything is compiled
     for path in (record, record_bag):
         if path is not None:
@@ -81,7 +81,7 @@ def run_command(
             **result_as_dict(result),
             "faults": faults,
             "wall_time": round(wall, 3),
-            "real_time_factor": round(result.ticks * 0.05 / wall, 2),
+            "real_time_factor": round(result.ticks * TICK / wall, 2),
             "recording": None if record is None else str(record),
             "bag": None if record_bag is None else str(record_bag),
         }

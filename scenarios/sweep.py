@@ -24,7 +24,7 @@ from typing import Any
 import dask
 from distributed import Client, Future, KilledWorker, LocalCluster, WorkerPlugin
 
-from scenarios.agenda import Agenda, Job, make_agenda, missing, other_versions, read_methods, read_worlds
+from scenarios.agenda import Agenda, Job, check_names, make_agenda, missing, other_versions, read_methods, read_worlds
 from scenarios.errors import UserError
 from scenarios.identity import code_digest
 from scenarios.job import OtherCodeError, do, equip, failed
@@ -62,10 +62,12 @@ def sweep_command(
         raise UserError("--workers must be 1 or more, and goes without --scheduler")
     agenda = make_agenda(read_worlds(worlds, protocol), read_methods(methods, policies), runs, seed, code_digest())
     with Store.open(out, write=True) as store:
+        rows = store.rows()
+        check_names(agenda, rows)
         jobs = missing(agenda.jobs, store.keys())
         pace = Pace(len(jobs))
         with Display(pace) as display:
-            for line in other_versions(agenda, store.rows()):
+            for line in other_versions(agenda, rows):
                 display.note(line)
             stored = len(agenda.jobs) - len(jobs)
             display.note(f"{len(agenda.jobs)} trials, {stored} of them stored already, {len(jobs)} to do")

@@ -10,6 +10,9 @@ from pathlib import Path
 from learning.interventions import Intervention, Kind, Metadata, Step
 from twin.simulation import TICK
 
+TAPE = 60.0  # [s] that can be wound back
+LONGEST = 40.0  # [s] of one intervention; its maps take 14 MB per second until they are packed
+
 
 @dataclass
 class Taught:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ipaddress
-import os
 import signal
 import sys
 import time
@@ -14,11 +13,13 @@ from types import FrameType
 from typing import Literal
 
 from scenarios.errors import UserError, blame
+from scenarios.folders import make_folder
 from scenarios.run import compile_kernels
 from scenarios.surfaces import Surface
-from scenarios.teleop_session import TAPE, TeleopSession
+from scenarios.teaching import TAPE
+from scenarios.teleop_session import TeleopSession
 from scenarios.trials import TrialSpec, make_driver, make_simulation
-from scenarios.worlds import load_world
+from scenarios.worlds import check_protocol, load_world
 from twin.rewind import Tape
 from twin.rollout import Loop
 from twin.simulation import TICK
@@ -47,13 +48,12 @@ def teleop_command(
     spec = TrialSpec(world_name, protocol, driver, seed)
     with blame():
         world = load_world(world_name, protocol)
+        check_protocol(world, protocol)
+        make_driver(spec)  # a wrong name or file is told before anything is opened
+    make_folder(out)
     with ExitStack() as stack:
         stack.enter_context(_signals_unwind())
         shown = stack.enter_context(closing(_open(surface, world, spec, keys, host, port)))
-        with blame(f"cannot use the folder {out}"):
-            out.mkdir(parents=True, exist_ok=True)
-        if not os.access(out, os.W_OK | os.X_OK):
-            raise UserError(f"cannot write to the folder {out}; choose another with --out")
         compile_kernels()
         with blame():
             tape = Tape(Loop(make_simulation(spec, world), make_driver(spec)), TAPE)

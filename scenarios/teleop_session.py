@@ -19,17 +19,15 @@ import numpy as np
 
 from learning.interventions import Kind, Step, save_intervention
 from scenarios.keyboard import DISCARD, HOLD, KINDS, QUIT, REWIND, SAVE, TURBO, Keys, Stick
-from scenarios.teaching import Taught, highest_numbers
+from scenarios.teaching import LONGEST, Taught, highest_numbers
 from scenarios.teleop_view import Frame, Mode, Sight, View
 from twin.records import Array, Command, Outcome, Tick, Twist2
 from twin.rewind import Tape
 from twin.simulation import TICK
 
-TAPE = 60.0  # [s] that can be wound back
 REWIND_STEP = 2  # ticks per frame: twice as fast as life
 FAST_REWIND_STEP = 8  # with Shift
 STANDS = 0.02  # [m/s] slower than this the robot has stopped
-LONGEST = 40.0  # [s] of one intervention; its maps take 14 MB per second until they are packed
 
 
 class TeleopSession:

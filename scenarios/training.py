@@ -49,6 +49,10 @@ def train_command(folder: Path, out: Path, types: str, seed: int, all_methods: b
         raise UserError(f"--types takes A, B and D with commas between, such as A,B; not {types!r}")
     if not all_methods and out.suffix != ".safetensors":
         raise UserError(f"--out must end in .safetensors, so that it can be driven with, not {out.name!r}")
+    if all_methods and (types != "A,B" or not options.confidence):
+        raise UserError(
+            "--all-methods makes all types, with and without the confidence; leave out --types and --no-confidence"
+        )
     if seed < 0:
         raise UserError(f"--seed must be 0 or more, not {seed}")
     with blame():

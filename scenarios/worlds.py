@@ -21,7 +21,7 @@ from twin.geometry import distance
 from twin.records import Pose2
 from twin.world import Mesh, World
 
-__all__ = ["WorldEntry", "WorldError", "list_worlds", "load_world"]
+__all__ = ["WorldEntry", "WorldError", "check_protocol", "list_worlds", "load_world"]
 
 MESH_SUFFIXES = (".obj", ".stl", ".ply", ".glb")
 FILE_SUFFIXES = (".world", ".npz", ".npy", ".toml", ".yaml", ".yml", *MESH_SUFFIXES)
@@ -58,6 +58,12 @@ def load_world(
     if goal_pose is not None:
         world = dataclasses.replace(world, goal=goal_pose)
     return checked(world)
+
+
+def check_protocol(world: World, protocol: str) -> None:
+    """Refuse a protocol other than the default for a world that is not BARN's. Raises WorldError."""
+    if protocol != "appli" and world.rules.protocol == "course":
+        raise WorldError(f"--protocol {protocol} is for BARN worlds; {world.name} has a start and a goal of its own")
 
 
 def list_worlds() -> list[WorldEntry]:

@@ -5,7 +5,8 @@ Two marks stand at the end of a line in a code block, for readers as for tests:
     # long: ~3 min            takes more than some seconds: the tests only parse it
     # needs: a robot          needs what no test has: the tests only parse it
 
-Whatever is not marked is run (tests/test_documents.py).
+Whatever is not marked is run (tests/test_documents.py). Programs that are not ours must be marked; what stands indented
+below a marked line, and the `done` of its loop, belongs to it.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ class Shown:
     """One command as a page shows it."""
 
     page: str
-    words: tuple[str, ...]  # appli, make or python, and what follows
+    words: tuple[str, ...]  # appli, make, python or another program, and what follows
     mark: str  # "long: ...", "needs: ..." or nothing
 
     def __str__(self) -> str:
@@ -35,27 +36,30 @@ class Shown:
 
 
 def commands(page: Path) -> list[Shown]:
-    """The commands `appli`, `make` and `python` in a page's shell blocks."""
+    """The commands in a page's shell blocks, without the variables that are set for them."""
     found = []
     for language, block in _fenced(page):
         if language not in SHELL:
             continue
         for line in block.replace("\\\n", " ").splitlines():
-            words = line.split()
-            if words and (name := words[0].removeprefix(".venv/bin/")) in ("appli", "make", "python"):
-                mark = MARK.search(line)
-                words = shlex.split(line, comments=True)
-                found.append(Shown(page.name, (name, *words[1:]), mark.group(1) if mark else ""))
+            if line.startswith((" ", "#")) or line in ("", "done"):
+                continue
+            mark = MARK.search(line)
+            words = shlex.split(line, comments=True)
+            while "=" in words[0]:
+                del words[0]
+            words[0] = words[0].removeprefix(".venv/bin/")
+            found.append(Shown(page.name, tuple(words), mark.group(1) if mark else ""))
     return found
 
 
 def mentions(page: Path) -> list[Shown]:
-    """The commands `appli ...` within sentences, as in `appli train --types`; they may be cut short."""
+    """The commands `appli ...` and `python ...` in sentences; they may be cut short, as in `appli train --types`."""
     text = page.read_text(encoding="utf-8")
     for _, block in _fenced(page):
         text = text.replace(block, "")
-    spans = re.findall(r"`appli ([a-z][^`]*)`", text)
-    return [Shown(page.name, ("appli", *span.split()), "") for span in spans]
+    spans = re.findall(r"`(?:\.venv/bin/)?(appli [a-z][^`]*|python [a-z-][^`]*)`", text)
+    return [Shown(page.name, tuple(span.split()), "") for span in spans]
 
 
 def blocks(page: Path, language: str) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import re
 import shutil
 import subprocess
@@ -19,6 +20,7 @@ from tests.documents import PAGES, ROOT, Shown, blocks, commands, mentions
 SHOWN = [command for page in PAGES for command in commands(page)]
 APPLI = list(dict.fromkeys(c for c in SHOWN if c.words[0] == "appli"))
 MAKE = list(dict.fromkeys(c for c in SHOWN if c.words[0] == "make"))
+PYTHON = list(dict.fromkeys(c for c in SHOWN if c.words[0] == "python"))
 MENTIONED = list(dict.fromkeys(c for page in PAGES for c in mentions(page)))
 
 
@@ -39,7 +41,13 @@ def test_every_command_parses(shown: Shown) -> None:
     parse(list(shown.words[1:]))
 
 
-@pytest.mark.parametrize("shown", MENTIONED, ids=str)
+def test_other_programs_are_marked() -> None:
+    others = [c for c in SHOWN if c.words[0] not in ("appli", "make", "python")]
+    assert others
+    assert [str(c) for c in others if not c.mark] == []
+
+
+@pytest.mark.parametrize("shown", [c for c in MENTIONED if c.words[0] == "appli"], ids=str)
 def test_every_mentioned_option_exists(shown: Shown) -> None:
     name = shown.words[1]
     assert name in COMMANDS
@@ -68,7 +76,7 @@ def furnish(folder: Path) -> None:
     shutil.copy(ROOT / "results" / "policies" / "A+B+c.safetensors", folder / "out" / "policy.safetensors")
     (folder / "my-course.toml").write_text(blocks(ROOT / "docs" / "worlds.md", "toml")[0])
     (folder / "mine.yaml").write_text("max_vel_x: 0.8\n")
-    keys = next(block for block in blocks(ROOT / "docs" / "driving.md", "") if "press enter" in block)
+    keys = next(block for block in blocks(ROOT / "docs" / "driving.md", "text") if "press enter" in block)
     (folder / "drive.keys").write_text(keys)
 
 
@@ -82,9 +90,32 @@ def test_every_target_of_make_exists(shown: Shown, tmp_path: Path) -> None:
     assert done.stdout.strip()
 
 
-@pytest.mark.parametrize("shown", [c for c in SHOWN if c.words[0] == "python"], ids=str)
+@pytest.mark.parametrize("shown", [*PYTHON, *(c for c in MENTIONED if c.words[0] == "python")], ids=str)
 def test_every_program_exists(shown: Shown) -> None:
     if shown.words[1] == "-m":
         assert importlib.util.find_spec(shown.words[2])
     elif not shown.mark:
         assert (ROOT / shown.words[1]).is_file()
+
+
+def test_python_commands_are_marked_or_examples() -> None:
+    """The examples have tests of their own (tests/test_examples.py)."""
+    assert [str(c) for c in PYTHON if not c.mark and not c.words[1].startswith("examples/")] == []
+
+
+@pytest.mark.parametrize(("page", "order"), [("README.md", [0]), ("docs/recordings.md", [1, 0])])
+def test_python_on_the_pages_runs(page: str, order: list[int], tmp_path: Path) -> None:
+    """That of environment.md has a test of its own; those of cluster.md and real_robot.md need a cluster and ROS."""
+    shown = blocks(ROOT / page, "python")
+    assert len(shown) == len(order)
+    for k in order:
+        done = subprocess.run(
+            [sys.executable, "-c", shown[k]],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        assert done.stdout or "print" not in shown[k]

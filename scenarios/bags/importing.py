@@ -21,6 +21,7 @@ from scenarios.bags.options import BagOptions
 from scenarios.bags.replay import PERIOD, Moment, find_robot, moments, odom_frame
 from scenarios.bags.spans import Span, default_type, marked_spans, parse_range
 from scenarios.errors import UserError, blame
+from scenarios.folders import make_folder
 from scenarios.run import compile_kernels
 from scenarios.tables import plain_table, print_table
 from scenarios.teaching import highest_numbers
@@ -72,9 +73,16 @@ def collect_bag_command(
     for remark in remarks:
         print(f"appli collect: {remark}", file=sys.stderr)
     table = plain_table(Column("file", no_wrap=True), "label", "from [s]", "to [s]", "steps", "said by")
+    make_folder(out)
+    written: list[Path] = []
     for made in interventions:
-        with blame(f"cannot write to {out}"):
-            path = save_intervention(made, out)
+        try:
+            with blame(f"cannot write to {out}"):
+                written.append(path := save_intervention(made, out))
+        except BaseException:
+            for done in written:  # all or none
+                done.unlink(missing_ok=True)
+            raise
         ended = made.start_time + made.duration
         said = made.metadata.trigger
         table.add_row(path.name, made.label, f"{made.start_time:.2f}", f"{ended:.2f}", str(len(made.steps)), Text(said))

@@ -10,8 +10,7 @@ from typing import cast
 from learning.interventions import Kind
 from scenarios.bags.files import BagError, BagReader
 from scenarios.errors import UserError
-
-LONGEST = 40.0  # [s], as in teleop: the maps of one intervention take 14 MB per second until they are packed
+from scenarios.teaching import LONGEST
 
 
 @dataclass(frozen=True, slots=True)

@@ -42,14 +42,14 @@ def differences(path: Path, text: str, sheets: Mapping[str, Sheet]) -> list[str]
     lines = []
     for name, start, end in places(path, text, sheets):
         there, ours = _cells(text[start:end]), _cells(sheets[name].markdown())
-        if not there or [len(row) for row in there] != [len(row) for row in ours] or there[0] != ours[0]:
+        if not there or there[0] != ours[0] or [_label(row) for row in there] != [_label(row) for row in ours]:
             lines.append(f"{path}: table {name}: other rows or columns than in the store")
-            if not there or there[0] != ours[0]:
+            continue
+        for found, row in zip(there[1:], ours[1:], strict=True):
+            if len(found) != len(row):
+                lines.append(f"{path}: table {name}: {_label(row)}: other columns than in the store")
                 continue
-        theirs = {_label(row): row for row in there[1:]}
-        for row in ours[1:]:
-            found = theirs.get(_label(row), [])
-            for title, cell, want in zip(ours[0], found, row, strict=False):
+            for title, cell, want in zip(ours[0], found, row, strict=True):
                 if cell != want:
                     lines.append(f"{path}: table {name}: {_label(row)}, {title}: {cell}, in the store {want}")
     return lines

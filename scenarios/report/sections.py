@@ -15,11 +15,12 @@ from scenarios.report.difficulty import Difficulty, difficulty_sheet, scores
 from scenarios.report.document import Block, Report, Row, Section, Text
 from scenarios.report.drives import drive_again, typical
 from scenarios.report.facts import Experiment, Facts
+from scenarios.report.paper import METHODS
 from scenarios.report.picture import Panel, Picture
 from scenarios.report.policies import PolicyFile
 from scenarios.report.sheet import COUNT, DIGEST, Column, Sheet
 
-SWEEP = "appli sweep --out RESULTS.sqlite --policies DIR --methods dwa,A,A+c,A+B,A+B+c,A+B+D,A+B+D+c"
+SWEEP = "appli sweep --out RESULTS.sqlite --policies DIR --methods " + ",".join(METHODS)
 
 
 @dataclass(frozen=True, slots=True)

@@ -135,6 +135,21 @@ def test_only_what_is_not_done_is_missing() -> None:
     assert agenda.missing(jobs, {jobs[0].key, "unknown"}) == list(jobs[1:])
 
 
+def test_a_policy_keeps_its_name_within_a_file() -> None:
+    ours = plan()
+    agenda.check_names(ours, [row(j) for j in ours.jobs])
+    with pytest.raises(UserError, match="is in this file as another"):
+        agenda.check_names(ours, [replace(row(ours.jobs[-1]), method="another")])
+
+
+def test_a_folder_is_its_world_files(tmp_path: Path) -> None:
+    with pytest.raises(WorldError, match="without"):
+        agenda.expand(str(tmp_path))
+    for name in ("b.world", "a.world", "c.txt"):
+        (tmp_path / name).touch()
+    assert agenda.expand(str(tmp_path)) == [str(tmp_path / "a.world"), str(tmp_path / "b.world")]
+
+
 # --- names -----------------------------------------------------------------------------------------------------------
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from scenarios.teaching import highest_numbers
 from scenarios.trials import TrialSpec
 from scenarios.worlds import load_world
 from tests.learning.observations import METADATA, random_steps
+from twin.records import Tick
 
 
 def collect(world_name: str, seed: int) -> list[Collected]:
@@ -20,6 +22,18 @@ def collect(world_name: str, seed: int) -> list[Collected]:
     spec = TrialSpec(world_name, seed=seed)
     Session(spec, load_world(world_name)).run(kept.append)
     return kept
+
+
+def test_a_drive_does_not_pile_up_maps() -> None:
+    alive: list[int] = []
+
+    def count(collected: Collected) -> None:
+        gc.collect()
+        alive.append(sum(isinstance(thing, Tick) for thing in gc.get_objects()) - len(collected.ticks))
+
+    Session(TrialSpec("doorway", seed=3), load_world("doorway")).run(count)
+    assert alive
+    assert max(alive) < 5
 
 
 # ---- labels ---------------------------------------------------------------------------------------------------------

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from scenarios.errors import UserError
 from scenarios.experiments import BARN_TRIAL, steps
+from scenarios.identity import code_digest
 from scenarios.store import Store
 from tests.scenarios.test_store import DONE
 
@@ -24,7 +26,7 @@ def test_what_is_done_is_seen(tmp_path: Path) -> None:
     (tmp_path / "sessions").mkdir()
     (tmp_path / "sessions" / "1").touch()
     with Store.open(tmp_path / "courses.sqlite", write=True) as store:
-        store.add([DONE])
+        store.add([replace(DONE, code=code_digest()), replace(DONE, key="older", code="of before")])
     assert [step.done for step in steps(tmp_path, "barn-like", ["0", "1"], 1.0)] == [1, 0, 1, 0]
 
 

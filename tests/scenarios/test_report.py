@@ -295,6 +295,13 @@ def test_readme_tables_are_rewritten_and_checked(
     said = capsys.readouterr().out
     assert "table courses: training, A+B+c, APPLI (A+B), time [s]: 69.9 ± 10.0, in the store 70.0 ± 10.0" in said
     assert "1 differences" in said
+    for wrong in (
+        text.replace("| A+B+c | APPLI (A+B) |", "| A+B+C | APPLI (A+B) |"),
+        text.replace("| 3 |", "| 3 | 4 |", 1),
+    ):
+        assert wrong != text
+        readme.write_text(wrong, encoding="utf-8")
+        assert report(path, check=readme) == 1
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,7 @@ from learning.policy_file import load_policy
 from scenarios import training
 from scenarios.cli import main
 from scenarios.fitting import fit_contexts
+from scenarios.report import paper
 from scenarios.tables import plain_table, print_table
 from scenarios.training import METHODS, labelled_scans
 from tests.learning.observations import METADATA, slalom_drive
@@ -210,6 +211,8 @@ def test_a_second_ctrl_c_ends_everything_and_writes_nothing(tmp_path: Path) -> N
         (["--eps-u", "-0.1"], "eps_u must be 0 or more"),
         (["--window", "0"], "window must be 1 to"),
         (["--all-methods"], "no interventions of type D, which --all-methods needs"),
+        (["--all-methods", "--types", "A"], "leave out --types"),
+        (["--all-methods", "--no-confidence"], "leave out --types and --no-confidence"),
         (["--out", "p.policy"], "--out must end in .safetensors"),
         (["--out", "/proc/p.safetensors"], "cannot use the folder /proc: "),
         (["--out", "/proc/none/p.safetensors"], "cannot use the folder /proc/none: "),
@@ -328,6 +331,7 @@ def test_all_methods_are_the_papers_six(tmp_path: Path) -> None:
     data = folder_of(tmp_path / "iv", *(made_up(label) for label in labels))
     assert train(data, "--out", tmp_path / "out", "--all-methods") == 0
     policies = {path.stem: load_policy(path) for path in (tmp_path / "out").iterdir()}
+    assert ("dwa", *METHODS) == paper.METHODS
     assert sorted(policies) == sorted(METHODS) == ["A", "A+B", "A+B+D", "A+B+D+c", "A+B+c", "A+c"]
     for name, policy in policies.items():
         types, confidence = METHODS[name]
