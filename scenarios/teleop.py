@@ -50,10 +50,10 @@ def teleop_command(
         world = load_world(world_name, protocol)
         check_protocol(world, protocol)
         make_driver(spec)  # a wrong name or file is told before anything is opened
-    make_folder(out)
     with ExitStack() as stack:
         stack.enter_context(_signals_unwind())
         shown = stack.enter_context(closing(_open(surface, world, spec, keys, host, port)))
+        make_folder(out)
         compile_kernels()
         with blame():
             tape = Tape(Loop(make_simulation(spec, world), make_driver(spec)), TAPE)
