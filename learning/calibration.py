@@ -81,9 +81,6 @@ class Assessment:
     accuracy: float  # share judged right
     confidence: float  # mean u
     confident_share: float  # share with u >= threshold
-    confident_accuracy: float  # share judged right among those
-    accuracy_by_context: dict[str, float]
-    confidence_by_context: dict[str, float]
     by_confidence: Reliability  # u against accuracy
     by_probability: Reliability  # alpha_max / sum(alpha) against accuracy
 
@@ -93,15 +90,11 @@ def assess(classifier: EvidentialClassifier, scans: Array, labels: tuple[str, ..
     answers = judge_all(classifier, scans)
     truth = np.array([classifier.labels.index(label) for label in labels], dtype=np.int64)
     correct = answers.index == truth
-    of = {label: truth == k for k, label in enumerate(classifier.labels)}
     return Assessment(
         len(labels),
         _mean(correct),
         answers.mean_confidence,
         answers.confident_share(threshold),
-        _mean(correct[answers.confidence >= threshold]),
-        {label: _mean(correct[own]) for label, own in of.items()},
-        {label: _mean(answers.confidence[own]) for label, own in of.items()},
         reliability(answers.confidence, correct),
         reliability(answers.probability, correct),
     )

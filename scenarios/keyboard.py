@@ -68,9 +68,6 @@ class Keys:
         return bool(DRIVING & self.held) or not DRIVING.isdisjoint(self.pressed)
 
 
-NO_KEYS = Keys()
-
-
 @dataclass(frozen=True, slots=True)
 class Stick:
     """Where the keyboard's imaginary joystick stands, as the velocity that it commands."""

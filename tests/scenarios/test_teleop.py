@@ -15,7 +15,7 @@ from learning import interventions
 from learning.interventions import load_dataset, load_intervention
 from scenarios import teleop, teleop_session
 from scenarios.errors import UserError
-from scenarios.keyboard import NO_KEYS, SPEED, TURBO_SPEED, TURN, Keys, Stick
+from scenarios.keyboard import SPEED, TURBO_SPEED, TURN, Keys, Stick
 from scenarios.surfaces.script import ScriptSurface, read_script
 from scenarios.teaching import highest_numbers
 from scenarios.teleop import teleop_command
@@ -31,6 +31,9 @@ WORLD = World("hall", (), Pose2(0.0, 0.0, 0.0), Pose2(9.0, 0.0, 0.0), Rules("cou
 WALL = World(
     "wall", (Box(1.0, 0.0, 0.0, 0.1, 4.0, 0.5),), Pose2(0.0, 0.0, 0.0), Pose2(3.0, 0.0, 0.0), Rules("course", 0.5, 60.0)
 )
+
+
+NO_KEYS = Keys()
 
 
 def held(*keys: str) -> Keys:
