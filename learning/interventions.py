@@ -220,9 +220,8 @@ def load_dataset(folder: Path, kinds: Iterable[str] | None = None) -> tuple[Inte
         raise InterventionError(f"{folder}: {is_file}no such folder; `appli collect training --out DIR` makes one")
     paths = sorted(p for p in folder.glob("*.npz") if not p.name.startswith("."))
     if not paths:
-        raise InterventionError(
-            f"{folder}: no interventions (*.npz); `appli collect training --out {folder}` makes some"
-        )
+        hint = f"`appli collect training --out {folder}` makes some"
+        raise InterventionError(f"{folder}: no interventions (*.npz); {hint}")
     interventions = tuple(load_intervention(p) for p in paths)
     chosen = tuple(i for i in interventions if i.kind in wanted)
     if not chosen:

@@ -15,7 +15,8 @@ from PIL import Image
 
 from scenarios.surfaces.script import KeyEvent, ScriptSurface
 from scenarios.surfaces.studio import open_web
-from scenarios.teleop_session import TAPE, TeleopSession
+from scenarios.teaching import TAPE
+from scenarios.teleop_session import TeleopSession
 from scenarios.trials import TrialSpec, make_driver, make_simulation
 from scenarios.worlds import load_world
 from tests.scenarios.teleop_browser import page
