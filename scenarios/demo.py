@@ -43,7 +43,8 @@ def demo_command(out: Path, seed: int, sessions: int) -> int:
             unfinished = out / "interventions.part"
             shutil.rmtree(unfinished, ignore_errors=True)
             collect_command("training", unfinished, "appli", seed, sessions, rewinding=True, record=False)
-            unfinished.replace(interventions)
+            with blame(f"cannot use the folder {interventions}"):
+                unfinished.replace(interventions)
         _say("2. learning planner parameters and the context classifier from types A and B")
         train_command(interventions, policy, "A,B", seed, False, PolicyOptions())
     _say("3. driving with the default parameters and with what was learned")
