@@ -85,11 +85,10 @@ def run_command(
             "recording": None if record is None else str(record),
             "bag": None if record_bag is None else str(record_bag),
         }
-        print(json_module.dumps(report) if json else summary(world, result, report["real_time_factor"], record))
-        if faults and not json:
-            print(f"  {faults} scans could not be judged: they counted as the default context")
-        if record_bag is not None and not json:
-            print(f"  bag: {record_bag}")
+        if json:
+            print(json_module.dumps(report))
+        else:
+            print(summary(world, result, report["real_time_factor"], faults, record, record_bag))
         if viewer is not None:
             stay(viewer)
     return 0 if result.outcome is Outcome.REACHED else 1
@@ -108,7 +107,14 @@ def _refuse_what_the_driver_ignores(driver: str, params: Path | None, switches: 
             )
 
 
-def summary(world: World, result: TrialResult, real_time_factor: float, record: Path | None) -> str:
+def summary(
+    world: World,
+    result: TrialResult,
+    real_time_factor: float,
+    faults: int = 0,
+    record: Path | None = None,
+    bag: Path | None = None,
+) -> str:
     """The few lines a person wants after a run."""
     lines = [
         f"{world.name}: {result.outcome.value} after {result.time:.2f} s, {result.distance:.1f} m driven, "
@@ -119,8 +125,12 @@ def summary(world: World, result: TrialResult, real_time_factor: float, record: 
     if result.contact is not None:
         hit = result.contact
         lines.append(f"  touched {hit.obstacle} at ({hit.x:.2f}, {hit.y:.2f}) after {hit.time:.2f} s")
+    if faults:
+        lines.append(f"  {faults} scans could not be judged: they counted as the default context")
     if record is not None:
         lines.append(f"  recording: {record}   open it with: appli view {record}")
+    if bag is not None:
+        lines.append(f"  bag: {bag}")
     return "\n".join(lines)
 
 

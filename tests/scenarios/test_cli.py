@@ -117,8 +117,8 @@ def test_scans_that_cannot_be_judged_are_counted(tmp_path: Path) -> None:
 
 def test_giving_up_is_explained() -> None:
     result, world = run_trial(TrialSpec("open")), load_world("open")
-    assert "gave up" not in summary(world, result, 1.0, None)
-    assert "gave up" in summary(world, replace(result, outcome=Outcome.ABORTED), 1.0, None)
+    assert "gave up" not in summary(world, result, 1.0)
+    assert "gave up" in summary(world, replace(result, outcome=Outcome.ABORTED), 1.0)
 
 
 def test_equal_specs_in_two_processes_give_equal_streams() -> None:
