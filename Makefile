@@ -66,7 +66,7 @@ ifeq ($(ONLY),)
 ifeq ($(wildcard $(BARN)),)
 	@echo "results/report is left as it is; to remake it, too: make pictures BARN=barn_100.npz"
 else
-	$(BIN)/appli report results/courses.sqlite,results/barn.sqlite --policies results/policies \
+	$(BIN)/appli report results/courses.sqlite,results/barn.sqlite,results/barn-like.sqlite --policies results/policies \
 	    --worlds '$(BARN)' --out results/report
 endif
 endif
