@@ -103,6 +103,7 @@ def test_python_commands_are_marked_or_examples() -> None:
     assert [str(c) for c in PYTHON if not c.mark and not c.words[1].startswith("examples/")] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("page", "order"), [("README.md", [0]), ("docs/recordings.md", [1, 0])])
 def test_python_on_the_pages_runs(page: str, order: list[int], tmp_path: Path) -> None:
     """That of environment.md has a test of its own; those of cluster.md and real_robot.md need a cluster and ROS."""

@@ -48,6 +48,7 @@ def test_every_example_is_short_tested_and_shown_in_the_readme(path: Path) -> No
     assert f"examples/{path.name}" in (ROOT / "README.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_drive_a_world(tmp_path: Path) -> None:
     plots = tmp_path / "new" / "slow.png", tmp_path / "fast.png"
     slow = run("drive_a_world", "open", "--max-vel-x", "0.3", "--plot", plots[0]).stdout.splitlines()
@@ -59,6 +60,7 @@ def test_drive_a_world(tmp_path: Path) -> None:
         assert_drawn(plot)
 
 
+@pytest.mark.slow
 def test_own_driver(tmp_path: Path) -> None:
     lines = run("own_driver", "barn-like/0", "--plot", tmp_path / "drivers.png").stdout.splitlines()
     (theirs, own) = (line.split() for line in lines[:2])
