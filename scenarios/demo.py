@@ -45,6 +45,7 @@ def demo_command(out: Path, seed: int, sessions: int) -> int:
             collect_command("training", unfinished, "appli", seed, sessions, rewinding=True, record=False)
             with blame(f"cannot use the folder {interventions}"):
                 unfinished.replace(interventions)
+            _say(f"they are in {interventions}")
         _say("2. learning planner parameters and the context classifier from types A and B")
         train_command(interventions, policy, "A,B", seed, False, PolicyOptions())
     _say("3. driving with the default parameters and with what was learned")
