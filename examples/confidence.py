@@ -4,7 +4,6 @@ Drives training and unseen with the policy and sorts the scans by the place they
 one of the policy's contexts it should be right and confident, elsewhere it should not be confident.
 """
 
-import sys
 from collections import defaultdict
 from pathlib import Path
 from typing import Annotated
@@ -14,6 +13,7 @@ import tyro
 
 from learning.intervener import segment_at
 from learning.policy_file import load_policy
+from scenarios.errors import one_line_errors
 from scenarios.trials import TrialSpec, run_trial
 from scenarios.worlds import load_world
 from twin.records import Tick
@@ -26,7 +26,7 @@ def main(
     """Print a line per place."""
     policy = load_policy(Path(path))
     if policy.classifier is None or seeds < 1:
-        sys.exit("confidence: give a policy of two or more contexts, and 1 or more drives")
+        raise ValueError("give a policy of two or more contexts, and 1 or more drives")
     judge = policy.classifier.judge
     print("world      place   steps  confidence  confident  the confident ones are judged as")
     for name in ("training", "unseen"):
@@ -50,4 +50,5 @@ def main(
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    with one_line_errors():
+        tyro.cli(main)

@@ -8,7 +8,7 @@ import numpy as np
 import tyro
 from matplotlib.collections import LineCollection
 
-from scenarios import TrialSpec, load_world, make_simulation
+from scenarios import TrialSpec, load_world, make_simulation, one_line_errors
 from scenarios.report.figures.floor_plan import floor_plan
 from twin import MoveBaseDriver, PlannerParams, Tick, World, rollout
 
@@ -50,4 +50,5 @@ def plot(world: World, ticks: list[Tick], path: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Options))
+    with one_line_errors():
+        main(tyro.cli(Options))

@@ -4,7 +4,6 @@ Both drive ten BARN-like worlds, from the easiest to the hardest, under the same
 the 50 s of the paper. For many worlds and runs there is `appli sweep` and `appli report`.
 """
 
-import sys
 from concurrent.futures import ProcessPoolExecutor
 from itertools import product
 from multiprocessing import get_context
@@ -14,7 +13,8 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from scenarios import TrialSpec, run_trial
+from learning import load_policy
+from scenarios import TrialSpec, one_line_errors, run_trial
 from scenarios.report.figures.style import BLUE, GREY, INK, drawing
 from scenarios.run import compile_kernels
 from scenarios.statistics import PENALTIES
@@ -29,7 +29,8 @@ def main(
 ) -> None:
     """Drive, print a line per world and the means, plot."""
     if min(worlds, runs) < 1:
-        sys.exit("evaluate_policy: --worlds and --runs must be 1 or more")
+        raise ValueError("--worlds and --runs must be 1 or more")
+    load_policy(Path(policy))  # a wrong one is told before anything is driven
     names = [f"barn-like/{k:.0f}" for k in np.linspace(0, 299, worlds).round()]
     specs = [TrialSpec(n, driver=d, run=k) for n, d, k in product(names, ("dwa", policy), range(runs))]
     with ProcessPoolExecutor(None, get_context("spawn"), compile_kernels) as pool:
@@ -46,8 +47,7 @@ def main(
         axes.hlines(names, means.min(1), means.max(1), color=INK, linewidth=1.0, alpha=0.4)
         for side, (label, colour) in enumerate((("default", GREY), (Path(policy).stem, BLUE))):
             axes.plot(means[:, side], names, "o", color=colour, markersize=7, label=label)
-        axes.invert_yaxis()
-        axes.set(xlabel="traversal time [s]", xlim=(0, None))
+        axes.set(xlabel="traversal time [s]", xlim=(0, None), ylim=(worlds - 0.5, -0.5))
         figure.legend(loc="outside upper center", ncols=2)
     plot.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(plot, dpi=150, bbox_inches="tight")
@@ -55,4 +55,5 @@ def main(
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    with one_line_errors():
+        tyro.cli(main)

@@ -11,7 +11,7 @@ import tyro
 
 from learning import FitSettings, Intervention, Metadata, Step
 from learning.fit import fit
-from scenarios import TrialSpec, load_world, make_simulation, run_trial
+from scenarios import TrialSpec, load_world, make_simulation, one_line_errors, run_trial
 from scenarios.report.figures.style import BLUE, GREY, INK, drawing
 from twin import Command, Loop, MoveBaseDriver, PlannerParams, Pose2
 
@@ -49,4 +49,5 @@ def main(speed: float = 0.8, evaluations: int = 200, steps: int = 60, plot: Path
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    with one_line_errors():
+        tyro.cli(main)

@@ -1,14 +1,14 @@
 """How much time could one parameter set gain? `python examples/headroom.py --worlds 20 --evaluations 40`
 
-A diagnosis, never part of APPLI (scenarios/headroom.py). That line takes half an hour, the defaults some seconds.
+A diagnosis, never part of APPLI (scenarios/headroom.py). That line takes some minutes, the defaults some seconds.
 """
 
 import json
-import sys
 from dataclasses import asdict, dataclass, field
 
 import tyro
 
+from scenarios.errors import one_line_errors
 from scenarios.headroom import Options, brief, measure
 
 
@@ -22,11 +22,7 @@ class Arguments:
 
 def main(arguments: Arguments) -> None:
     """Measure and print."""
-    try:
-        found = measure(arguments.search)
-    except (ValueError, OSError) as error:
-        print(f"headroom: {error}", file=sys.stderr)
-        sys.exit(2)
+    found = measure(arguments.search)
     drivers = {name: asdict(drives) for name, drives in found.drivers.items()}
     if arguments.json:
         print(json.dumps({"drives": found.drives, "share": found.share, "params": found.params.as_dict()} | drivers))
@@ -40,4 +36,5 @@ def main(arguments: Arguments) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Arguments))
+    with one_line_errors():
+        main(tyro.cli(Arguments))

@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from scenarios import TrialSpec, load_world, run_trial
+from scenarios import TrialSpec, load_world, one_line_errors, run_trial
 from scenarios.report.figures.floor_plan import floor_plan
 from scenarios.report.figures.style import BLUE, RED
 from twin import Command, Decision, MoveBaseDriver, Observation, PlannerParams, Tick
@@ -55,4 +55,5 @@ def main(world: Annotated[str, tyro.conf.Positional] = "barn-like/100", plot: Pa
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    with one_line_errors():
+        tyro.cli(main)

@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 import tyro
 
-from scenarios import TrialSpec, load_world, run_trial
+from scenarios import TrialSpec, load_world, one_line_errors, run_trial
 from scenarios.report.figures.floor_plan import floor_plan
 from scenarios.report.figures.style import BLUE
 from twin import Tick
@@ -54,4 +54,5 @@ def main(mesh: Path | None = None, start: str = "1,1,0", goal: str = "5,3", plot
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    with one_line_errors():
+        tyro.cli(main)

@@ -14,7 +14,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from scenarios.errors import UserError
+    from scenarios.errors import UserError, one_line_errors
     from scenarios.store import Store, StoredTrial
     from scenarios.switches import Switches
     from scenarios.trials import TrialResult, TrialSpec, make_driver, make_simulation, result_as_dict, run_trial
@@ -33,6 +33,7 @@ __all__ = [
     "load_world",
     "make_driver",
     "make_simulation",
+    "one_line_errors",
     "result_as_dict",
     "run_trial",
 ]
@@ -52,6 +53,7 @@ _HOMES = {
     "Store": "store",
     "StoredTrial": "store",
     "UserError": "errors",
+    "one_line_errors": "errors",
 }
 
 

@@ -144,6 +144,8 @@ def _policy_bytes(name: str, folder: Path | None) -> bytes:
         raise UserError(
             f"the method {name} needs --policies DIR, a folder with {name}.safetensors; see: appli train --help"
         )
+    if Path(name).name != name:
+        raise UserError(f"a method is the name of a policy in {folder}, not a path such as {name}")
     path = folder / f"{name}.safetensors"
     if not path.is_file() or not path.resolve().is_relative_to(folder.resolve()):
         there = sorted(p.stem for p in folder.glob("*.safetensors")) if folder.is_dir() else []

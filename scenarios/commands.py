@@ -43,8 +43,8 @@ def run(
         protocol: Start, goal, tolerance and time limit of BARN worlds.
         seed: Root of all noise; equal seeds give equal runs.
         params: YAML file with some of the eight planner parameters, e.g. "max_vel_x: 0.8".
-        start: "x,y,yaw" in metres and radians, for worlds that bring none.
-        goal: "x,y" in metres, for worlds that bring none.
+        start: "x,y" or "x,y,yaw" in metres and radians, instead of the world's; maps and meshes need one.
+        goal: "x,y" in metres, instead of the world's; maps and meshes need one.
         record: Write a Rerun recording (.rrd) here.
         record_bag: Write the drive as a ROS 2 bag (.mcap) here (docs/real_robot.md).
         view: Watch while it runs, in Rerun's viewer.

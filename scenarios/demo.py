@@ -36,16 +36,12 @@ def demo_command(out: Path, seed: int, sessions: int) -> int:
     if policy.exists():
         _say(f"using {policy}")
     else:
-        if any(interventions.glob("*.npz")):
-            _say(f"using {interventions}")
-        else:
-            _say(f"1. {sessions} sessions of a scripted intervener on the training course")
-            unfinished = out / "interventions.part"
-            shutil.rmtree(unfinished, ignore_errors=True)
-            collect_command("training", unfinished, "appli", seed, sessions, rewinding=True, record=False)
-            with blame(f"cannot use the folder {interventions}"):
-                unfinished.replace(interventions)
-            _say(f"they are in {interventions}")
+        _say(f"1. {sessions} sessions of a scripted intervener on the training course")
+        for number in range(seed, seed + sessions):
+            if any(interventions.glob(f"*-seed{number}-*.npz")):
+                _say(f"using the session of seed {number} in {interventions}")
+            else:
+                _collect(interventions, number)
         _say("2. learning planner parameters and the context classifier from types A and B")
         train_command(interventions, policy, "A,B", seed, False, PolicyOptions())
     _say("3. driving with the default parameters and with what was learned")
@@ -68,6 +64,18 @@ def demo_command(out: Path, seed: int, sessions: int) -> int:
     print(f"Side by side: .venv/bin/appli view --compare {both}")
     print(f"Go on:        .venv/bin/appli run unseen --driver {policy} --record {out / 'unseen.rrd'}")
     return 0
+
+
+def _collect(folder: Path, seed: int) -> None:
+    """One session, made beside the others and moved to them when it is complete."""
+    unfinished = folder.with_suffix(".part")
+    shutil.rmtree(unfinished, ignore_errors=True)
+    collect_command("training", unfinished, "appli", seed, sessions=1, rewinding=True, record=False)
+    with blame(f"cannot use the folder {folder}"):
+        folder.mkdir(exist_ok=True)
+        for path in unfinished.iterdir():
+            path.rename(folder / path.name)
+        unfinished.rmdir()
 
 
 def _drive(spec: TrialSpec, recording: Path) -> TrialResult:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 
 class UserError(Exception):
@@ -22,3 +24,15 @@ def blame(subject: str = "") -> Iterator[None]:
         raise UserError(f"{subject}{': ' if subject else ''}{name}{reason}") from error
     except ValueError as error:
         raise UserError(f"{subject}{': ' if subject else ''}{error}") from error
+
+
+@contextmanager
+def one_line_errors() -> Iterator[None]:
+    """For scripts such as those in examples/: a mistake ends them with one line and exit code 2, Ctrl-C with 130."""
+    try:
+        yield
+    except (UserError, ValueError, OSError) as error:
+        print(f"{Path(sys.argv[0]).stem}: {error}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        sys.exit(130)

@@ -155,7 +155,8 @@ class _Bars:
         self._progress.console.print(line, highlight=False, soft_wrap=True)
 
     def __enter__(self) -> _Bars:
-        line = f"appli train: searching parameters for {', '.join(self._tasks)}; Ctrl-C keeps the best so far"
+        labels = ", ".join(self._tasks)
+        line = f"appli train: searching parameters for {labels}; Ctrl-C keeps the best so far, a second one stops"
         self._progress.console.print(line, highlight=False, soft_wrap=True)
         self._progress.start()
         return self

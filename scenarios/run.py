@@ -71,7 +71,12 @@ def run_command(
         began = time.perf_counter()
         watching = None if viewer is None else viewer.url
         quiet = json or not sys.stderr.isatty()
-        result, faults = _run_watched(spec, world, record, record_bag, watching, quiet)
+        try:
+            result, faults = _run_watched(spec, world, record, record_bag, watching, quiet)
+        except KeyboardInterrupt:
+            if kept := [str(path) for path in (record, record_bag) if path is not None and path.exists()]:
+                print(f"appli run: {' and '.join(kept)}: the drive so far", file=sys.stderr)
+            raise
         wall = time.perf_counter() - began
         report = {
             "world": world.name,

@@ -33,6 +33,7 @@ from scenarios.run import compile_kernels
 from scenarios.store import Store, StoredTrial
 from twin.compiled import FIRST_TIME
 
+MOST_RUNS = 10_000  # per world and method
 AHEAD = 2  # jobs handed out per worker thread: one in work, one waiting
 MEMORY = 1024**3  # bytes per local worker; one needs a third of it, and is started anew when it takes more
 COUNT_EVERY = 5.0  # [s] between looks at how many workers there are
@@ -56,8 +57,8 @@ def sweep_command(
     scheduler: str | None,
 ) -> int:
     """Do what is missing in `out`. Exit code 0 = all done, 1 = some trials failed, 130 = stopped by Ctrl-C."""
-    if runs < 1 or seed < 0:
-        raise UserError("--runs must be 1 or more, and --seed 0 or more")
+    if not 1 <= runs <= MOST_RUNS or seed < 0:
+        raise UserError(f"--runs must be 1 to {MOST_RUNS}, and --seed 0 or more")
     if workers is not None and (workers < 1 or scheduler is not None):
         raise UserError("--workers must be 1 or more, and goes without --scheduler")
     agenda = make_agenda(read_worlds(worlds, protocol), read_methods(methods, policies), runs, seed, code_digest())

@@ -139,7 +139,22 @@ def test_headroom_in_the_open() -> None:
     assert "2 tried" in done.stderr
 
 
-def test_headroom_refuses_an_unknown_world_in_one_line() -> None:
-    done = run("headroom", "--workers", "1", "--worlds", "opn", code=2)
-    assert done.stderr.startswith("headroom: unknown world")
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("drive_a_world", "nope"),
+        ("drive_a_world", "open", "--max-vel-x", "-5"),
+        ("own_driver", "nope"),
+        ("confidence", "nope.safetensors"),
+        ("evaluate_policy", "nope.safetensors"),
+        ("evaluate_policy", "--worlds", "0"),
+        ("headroom", "--workers", "1", "--worlds", "opn"),
+        ("headroom", "--worlds", "0"),
+    ],
+    ids=" ".join,
+)
+def test_mistakes_are_one_line(arguments: tuple[str, ...]) -> None:
+    done = run(*arguments, code=2)
+    assert done.stderr.startswith(f"{arguments[0]}: ")
     assert len(done.stderr.splitlines()) == 1

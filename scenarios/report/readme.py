@@ -42,8 +42,12 @@ def differences(path: Path, text: str, sheets: Mapping[str, Sheet]) -> list[str]
     lines = []
     for name, start, end in places(path, text, sheets):
         there, ours = _cells(text[start:end]), _cells(sheets[name].markdown())
-        if not there or there[0] != ours[0] or [_label(row) for row in there] != [_label(row) for row in ours]:
-            lines.append(f"{path}: table {name}: other rows or columns than in the store")
+        written, wanted = [_label(row) for row in there], [_label(row) for row in ours]
+        if not there or there[0] != ours[0] or written != wanted:
+            odd = [*(f"without {row}" for row in wanted if row not in written)]
+            odd += [f"with {row}" for row in written if row not in wanted]
+            what = f": {'; '.join(odd)}" if odd else ""
+            lines.append(f"{path}: table {name}: other rows or columns than in the store{what}")
             continue
         for found, row in zip(there[1:], ours[1:], strict=True):
             if len(found) != len(row):

@@ -196,7 +196,7 @@ def test_methods_and_their_policies(tmp_path: Path) -> None:
     for methods, folder, word in (
         ("A", None, "--policies"),
         ("A", tmp_path, r"has A\+c, broken"),
-        ("../A", tmp_path, "no policy"),
+        ("../A", tmp_path, "not a path"),
         ("A", tmp_path / "nowhere", "has none"),
         ("broken", tmp_path, "broken.safetensors: not a policy"),
     ):

@@ -161,6 +161,13 @@ def test_an_unknown_world_names_the_closest() -> None:
         (["collect", "open", "--out", __file__], "it is a file"),
         (["demo", "--sessions", "0", "--out", "/nowhere"], "--sessions"),
         (["sweep", "--worlds", "open", "--methods", "dwa", "--runs", "1", "--out", "/"], "is a folder"),
+        (["sweep", "--worlds", "open", "--methods", "dwa", "--runs", "99999999999", "--out", "x.sqlite"], "--runs"),
+        (
+            ["sweep", "--worlds", "open", "--methods", "../A", "--runs", "1", "--policies", "/", "--out", "x"],
+            "not a path",
+        ),
+        (["run", "/"], "is a folder"),
+        (["run", "policy.safetensors"], "is a policy"),
         (["train", "/nowhere", "--out", "p.safetensors"], "/nowhere"),
         (["train", __file__, "--out", "p.safetensors"], "is a file"),
         (["train", "/nowhere", "--out", "p.safetensors", "--types", "A,X"], "--types"),
@@ -168,6 +175,12 @@ def test_an_unknown_world_names_the_closest() -> None:
 )
 def test_mistakes_get_one_line(arguments: list[str], word: str) -> None:
     assert word in complaint(*arguments)
+
+
+def test_a_narrow_terminal_without_unicode_shows_every_word() -> None:
+    done = appli("worlds", PYTHONIOENCODING="ascii", LC_ALL="C", COLUMNS="40")
+    assert done.returncode == 0, done.stderr
+    assert "corridor" in done.stdout
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "ascii"])  # the parser draws its frames differently

@@ -86,7 +86,9 @@ def read_recording(path: Path | str) -> Recording:
 
 def _chunks(path: Path) -> list[Any]:
     if not path.is_file():
-        raise RecordingError(f"cannot read the recording {path}: no such file")
+        raise RecordingError(
+            f"cannot read the recording {path}: {'it is a folder' if path.is_dir() else 'no such file'}"
+        )
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # a file cut short has no footer; that is no news to whoever reads it
