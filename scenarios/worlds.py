@@ -134,7 +134,7 @@ def _generated(text: str, protocol: str) -> World:
 
 
 def _unknown(text: str) -> str:
-    if Path(text).is_dir():
+    if text and Path(text).is_dir():
         return f"{text} is a folder; give a file in it, or list the built-in worlds with: appli worlds"
     if text.endswith(".safetensors"):
         return f"{text} is a policy; give a world, and the policy as --driver"

@@ -300,7 +300,7 @@ def test_start_and_goal_can_be_given(tmp_path: Path) -> None:
         ("", "unknown world"),
         ("nowhere.toml", "does not exist"),
         ("nowhere.world", "does not exist"),
-        (".", "unknown world"),
+        (".", "is a folder"),
         ("a\x00b.toml", "toml"),
     ],
 )
