@@ -13,6 +13,7 @@ logits are scaled so that the given threshold lets the known places pass (`learn
 
 from __future__ import annotations
 
+import copy
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -35,6 +36,7 @@ from twin.records import Array
 __all__ = ["Round", "ScanDataset", "Trained", "TrainingOptions", "TrainingReport", "time_blocks", "train"]
 
 ROUND = 100  # steps between two looks at the validation loss
+TENTH = 10  # a mean that moves by 10 / (9 + n) in step n has forgotten all but about the last tenth of the steps
 OOD_HELD_OUT = 0.1  # share of the unfamiliar scans that only enter the validation loss
 
 
@@ -54,6 +56,7 @@ class TrainingOptions:
     ood_scans: int = 3000  # made up once per training
     ood_made_up: float = 0.5  # share of made-up ones in the unfamiliar scans where there is a background
     validation_share: float = 0.2  # of each context's time blocks (authors: of the steps)
+    averaged: bool = True  # take the mean of the weights over the last tenth of the steps; False = the last (authors)
     patience: int = 1000  # steps without a better validation loss after which training ends
     refit: bool = True  # then train anew on all blocks for as many steps as proved best (authors: full_train)
     threshold: float = EPS_U
@@ -74,6 +77,7 @@ PLAIN = TrainingOptions(
     learning_rate=3e-4,
     kl_weight=1.0,
     ood_weight=0.0,
+    averaged=False,
     confident=0.0,
     augmentation=Augmentation(shift=math.radians(10.0), translation=0.10),
 )
@@ -138,6 +142,12 @@ class Network:
         if "hidden" in w:
             features = torch.relu(features @ w["hidden"] + w["hidden_bias"])
         return torch.nn.functional.softplus(features @ w["output"] + w["output_bias"]) + 1.0
+
+    def approach(self, other: Network, share: float) -> None:
+        """Move every weight by this share of the way to the other network's."""
+        with torch.no_grad():
+            for name, weight in self.weights.items():
+                weight.lerp_(other.weights[name], share)
 
     def copy(self) -> dict[str, Floats]:
         """The weights as they are now."""
@@ -213,9 +223,10 @@ def train(
 
 
 class _Descent:
-    """Adam with early stopping; `best` holds the weights with the lowest validation loss so far.
+    """Adam with early stopping; `best` holds the mean weights with the lowest validation loss so far.
 
-    Without held-out scans there is no early stopping, and `best` holds the last weights.
+    Averaged, because the confidence that the last weights give depends on which few scans came last (polynomial-decay
+    averaging, Shamir & Zhang 2013). Without held-out scans there is no early stopping, and `best` holds the last mean.
     """
 
     def __init__(
@@ -240,8 +251,9 @@ class _Descent:
             unknown = inputs_of(np.concatenate([strange_held.made_up, strange_held.background]))
             self._held = torch.from_numpy(known), truth, torch.from_numpy(unknown)
         self._network = Network(len(contexts), options.hidden, rng)
+        self._mean = copy.deepcopy(self._network)
         self._adam = torch.optim.Adam(list(self._network.weights.values()), lr=options.learning_rate, fused=True)
-        self.best: dict[str, Floats] = self._network.copy()
+        self.best: dict[str, Floats] = self._mean.copy()
         self.best_step = 0
 
     def run(self, steps: int, progress: Callable[[Round], None] | None) -> Iterator[Round]:
@@ -255,7 +267,7 @@ class _Descent:
                 progress(result)
             yield result
             if self._held is None or validation < lowest or result.steps <= min(steps, self._options.least_steps):
-                lowest, self.best_step, self.best = validation, result.steps, self._network.copy()
+                lowest, self.best_step, self.best = validation, result.steps, self._mean.copy()
             elif result.steps - self.best_step >= self._options.patience:
                 return
 
@@ -268,10 +280,11 @@ class _Descent:
         for step in range(count):
             here = slice(step * options.batch, (step + 1) * options.batch)
             kl_weight = options.kl_weight * min(1.0, (start + step) / max(1, options.annealing_steps))
-            loss = self._loss(inputs[here], self._truth[order[here]], strange[here], kl_weight)
+            loss = self._loss(self._network, inputs[here], self._truth[order[here]], strange[here], kl_weight)
             self._adam.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
             self._adam.step()
+            self._mean.approach(self._network, TENTH / (start + step + TENTH) if options.averaged else 1.0)
             total += loss.item()
         return total / count
 
@@ -279,10 +292,10 @@ class _Descent:
         if self._held is None:
             return math.nan
         with torch.no_grad():
-            return self._loss(*self._held, self._options.kl_weight).item()
+            return self._loss(self._mean, *self._held, self._options.kl_weight).item()
 
-    def _loss(self, inputs: Tensor, truth: Integers, strange: Tensor, kl_weight: float) -> Tensor:
-        alpha = self._network.alpha(torch.cat([inputs, strange]))
+    def _loss(self, network: Network, inputs: Tensor, truth: Integers, strange: Tensor, kl_weight: float) -> Tensor:
+        alpha = network.alpha(torch.cat([inputs, strange]))
         known, unknown = alpha[: len(inputs)], alpha[len(inputs) :]
         loss = evidential_loss(known, self._one_hot[torch.from_numpy(truth)], kl_weight, self._options.loss)
         return loss + self._options.ood_weight * uniform_kl(unknown).mean() if len(unknown) else loss

@@ -5,8 +5,9 @@
 
 The search space is the unit cube that `ParameterSpace` maps to parameters. Searches start in the middle and at the best
 of points scattered over the cube; the last, with small steps, at the best of what was found. Of all that is as good as
-the best, the parameters nearest to the default are taken: what the demonstrations leave open stays as it was. The
-default parameters always compete, so no fit is worse than the default on its own data.
+the best, the parameters nearest to the default are taken, after each has been moved towards it as far as that costs
+nothing: what the demonstrations leave open stays as it was. The default parameters always compete, so no fit is worse
+than the default on its own data.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ SMALLEST_STEP = 1e-5  # [cube sides] a search whose steps are smaller is over
 MOST_SKEWED = 1e14  # condition number of the covariance (pycma's own limit)
 PIECE = 100  # [steps] at a time when all are judged
 STARTS_APART = 0.5  # [cube sides] between points to search from
+NEARER = 20  # points on the way from a parameter's default to its value
 FLATNESS_GRID = 21  # values of each parameter that are looked at
 
 
@@ -204,18 +206,39 @@ class _Fitting:
         As good: within a share of what the best gained, and of what it leaves unexplained, the hand's noise. Where the
         best explains everything, nothing is given up.
         """
-        space, (best, _) = self.settings.space, self.best
-        allowed = best + self.settings.modesty * min(self.default_loss - best, best)
-        origin = space.encode(DEFAULT_THETA)
-        near = [(float(np.linalg.norm(space.encode(theta) - origin)), loss, theta) for loss, theta in self.seen]
+        encode, allowed = self.settings.space.encode, self.allowed
+        origin = encode(DEFAULT_THETA)
+        near = [(float(np.linalg.norm(encode(theta) - origin)), loss, theta) for loss, theta in self.seen]
         return min((n for n in near if n[1] <= allowed), key=lambda n: n[:2])[2]
 
+    @property
+    def allowed(self) -> float:
+        """The largest loss that is as good as the best so far."""
+        best = self.best[0]
+        return best + self.settings.modesty * min(self.default_loss - best, best)
+
     def run(self) -> None:
-        """All searches."""
+        """All searches, and what lies between their outcome and the default."""
         rng = np.random.default_rng(self.settings.seed)
         for start in self.starts(rng):
             self._search(start, self.settings.sigma, rng)
         self._search(self.settings.space.encode(self.best[1]), self.settings.last_sigma, rng)
+        self._draw_nearer()
+
+    def _draw_nearer(self) -> None:
+        """Move what is chosen towards the default, one parameter at a time, as far as it stays as good; twice round."""
+        space = self.settings.space
+        origin, point = space.encode(DEFAULT_THETA), space.encode(self.chosen())
+        for _ in range(2):
+            for k in np.argsort(-np.abs(point - origin)):
+                for share in np.linspace(0.0, 1.0, NEARER, endpoint=False):
+                    nearer = point.copy()
+                    nearer[k] = origin[k] + share * (point[k] - origin[k])
+                    if self.evaluations >= self.settings.max_evaluations:
+                        return
+                    if self._look(space.decode(nearer)) <= self.allowed:
+                        point = nearer
+                        break
 
     def starts(self, rng: np.random.Generator) -> Iterator[Array]:
         """Where to search from: the first, then the best of scattered points, no two of them close to each other."""

@@ -15,7 +15,7 @@ import numpy as np
 from learning.bystander import Bystander, Sight, Trouble
 from learning.expert import ROOM, TICK, Expert, Hand, Retreat
 from learning.interventions import Kind
-from learning.route import BRISK, CAREFUL, distance_field, plan_route
+from learning.route import BRISK, CAREFUL, STEADY, Pace, distance_field, plan_route
 from twin.free_space import FreeSpace, free_space
 from twin.records import Array, Command, Pose2, Twist2
 from twin.world import Segment, World
@@ -26,6 +26,7 @@ ORDINARY_TIME = 2.0  # [s] a place passed in less is not worth a demonstration o
 EASY = 0.50  # [m] from the robot's centre to an obstacle: a person begins anew where there is room to steer, ...
 LOOK_BACK = 4.0  # [s] ... if that is not further back than this
 SETTLE = 2.0  # [m] without named places, a type B is acted on this far after it was noticed
+PACES: dict[Kind, Pace] = {"A": STEADY, "B": BRISK, "D": CAREFUL}
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,7 +210,7 @@ class Demonstration:
 
 
 def _expert(world: World, space: FreeSpace, plea: Plea, pose: Pose2) -> Expert:
-    pace = CAREFUL if plea.kind == "D" else BRISK
+    pace = PACES[plea.kind]
     return Expert(plan_route(space, pose, world.goal, pace), pace)
 
 

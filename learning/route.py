@@ -31,6 +31,7 @@ class Pace:
 
 
 BRISK = Pace()
+STEADY = Pace(top=0.46)  # where the default planner's 0.5 m/s came to grief, a person is not faster than that
 CAREFUL = Pace(top=0.4, creep=0.3, per_metre=0.3, lateral=0.4, turn=0.8, brake=0.6)
 
 

@@ -19,6 +19,7 @@ from learning.calibration import MOST_FACTOR, evidence_factor, judge_all, sharpe
 from learning.classifier import BEAMS, CROP, EvidentialClassifier, preprocess
 from learning.evidential import (
     PLAIN,
+    TENTH,
     Network,
     Round,
     ScanDataset,
@@ -322,6 +323,20 @@ def test_equal_seeds_give_equal_weights_and_others_do_not(options: TrainingOptio
     assert tuple(rounds) == first.report.rounds
     assert [r.training for r in rounds] == [r.training for r in second.report.rounds]
     assert [r.steps for r in rounds] == [30, 30]
+
+
+def test_a_mean_network_forgets_all_but_the_last_tenth() -> None:
+    rng = np.random.default_rng(0)
+    mean, network = Network(2, 4, rng), Network(2, 4, rng)
+    steps, before = 1000, mean.copy()
+    for step in range(steps):
+        with torch.no_grad():
+            network.weights["output_bias"].fill_(float(step))
+        mean.approach(network, TENTH / (step + TENTH))
+    # weights n (n + 1) .. (n + 8) of step n have the mean 10 / 11 of all steps
+    np.testing.assert_allclose(mean.copy()["output_bias"], steps * 10 / 11, rtol=0.01)
+    np.testing.assert_allclose(mean.copy()["output"], network.copy()["output"], rtol=1e-4, atol=1e-6)
+    assert not np.allclose(before["output"], network.copy()["output"])
 
 
 def test_the_smallest_factor_that_lets_enough_scans_pass() -> None:

@@ -245,6 +245,19 @@ def test_among_equally_good_parameters_those_nearest_to_the_default_are_taken() 
     assert modest.curve.tolist() == best.curve.tolist()  # the search is the same
 
 
+def test_no_chosen_parameter_could_go_back_to_its_default_for_nothing() -> None:
+    taught = demonstrated(seen(8), replace(DEFAULT, max_vel_x=0.8, gdist_scale=0.5))
+    fitting = _Fitting(LabelledSteps.of([taught.packed]), replace(QUICK, max_evaluations=600, modesty=0.2), None)
+    fitting.run()
+    chosen, moved = fitting.chosen(), 0
+    for name in PARAMETER_NAMES:
+        back = replace(chosen, **{name: getattr(DEFAULT, name)})
+        assert back == chosen or fitting.loss(back) > fitting.allowed, name
+        moved += back != chosen
+    assert 1 <= moved < 8
+    assert fitting.loss(chosen) <= fitting.allowed
+
+
 def test_restarts_begin_at_the_best_of_scattered_points_that_lie_apart() -> None:
     steps = LabelledSteps.of([pack(list(demonstrated(seen(6), published_parameters()["B2"]).steps))])
     settings = replace(QUICK, scattered=30, restarts=3, max_evaluations=1000)

@@ -106,6 +106,7 @@ def test_training_gives_each_context_once_in_its_place(seed: int, tmp_path: Path
     # the first two seconds still have the speed at which the person took over
     fastest = {c.place: max(step.action.v for step in c.intervention.steps[40:]) for c in kept}
     assert fastest["B1"] > 1.2, "brisk in the open"
+    assert max(fastest["A1"], fastest["A2"]) <= 0.46, "steady where the default failed at 0.5 m/s"
     assert fastest["D1"] <= 0.41
     assert fastest["D2"] <= 0.41, "careful where nothing was wrong"
 
