@@ -259,9 +259,10 @@ def test_no_chosen_parameter_could_go_back_to_its_default_for_nothing() -> None:
 
 
 def test_what_the_interventions_disagree_about_is_as_good() -> None:
-    """One standard error of the difference from the best, over interventions."""
+    """One standard error, or as many as the settings say, of the difference from the best, over interventions."""
     taught = [demonstrated(seen(3), replace(DEFAULT, max_vel_x=v)) for v in (0.6, 0.7, 0.8, 0.9)]
-    fitting = _Fitting(LabelledSteps.of([i.packed for i in taught]), replace(QUICK, max_steps=12, modesty=0.0), None)
+    settings = replace(QUICK, max_steps=12, modesty=0.0, doubt=1.0)
+    fitting = _Fitting(LabelledSteps.of([i.packed for i in taught]), settings, None)
     best = fitting.best
     assert best.loss == pytest.approx(best.parts.sum()) == pytest.approx(fitting.default_loss)
     assert len(best.parts) == 4
