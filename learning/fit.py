@@ -6,10 +6,8 @@
 The search space is the unit cube that `ParameterSpace` maps to parameters. Searches start in the middle and at the best
 of points scattered over the cube; the last, with small steps, at the best of what was found. Of all that is as good as
 the best, the parameters nearest to the default are taken, after each has been moved towards it as far as that costs
-nothing: what the demonstrations leave open stays as it was. As good is also what is worse by no more than two standard
-errors of the difference over interventions (after Breiman et al. 1984, 3.4.3, who give up one): the best of thousands
-was lucky, too, and other drives would have it the other way round. The default parameters always compete, so no fit is
-worse than the default on its own data.
+nothing: what the demonstrations leave open stays as it was. The default parameters always compete, so no fit is worse
+than the default on its own data.
 """
 
 from __future__ import annotations
@@ -18,7 +16,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, get_args
 
 import cma
 import numpy as np
@@ -38,7 +36,6 @@ MOST_SKEWED = 1e14  # condition number of the covariance (pycma's own limit)
 PIECE = 100  # [steps] at a time when all are judged
 STARTS_APART = 0.5  # [cube sides] between points to search from
 NEARER = 20  # points on the way from a parameter's default to its value
-FEWEST = 4  # interventions from which a standard error says something
 FLATNESS_GRID = 21  # values of each parameter that are looked at
 
 
@@ -59,7 +56,6 @@ class FitSettings:
     patience: int = 10  # a search ends after so many generations without progress (tolfun 1e-11)
     min_progress: float = 1e-3  # as a share of the default's loss; less in one generation is no progress
     modesty: float = 0.02  # given up for being nearer to the default: a share of what was gained or of what is left (0)
-    doubt: float = 2.0  # given up too, with FEWEST interventions or more: standard errors of what it costs (0)
     seed: int = 0
     space: ParameterSpace = field(default_factory=ParameterSpace)
     planner: PlannerSettings = DEFAULT_SETTINGS
@@ -79,8 +75,6 @@ class FitSettings:
                 raise ValueError(f"{name} must be at least {low}, not {getattr(self, name)}")
         if not 0.0 <= self.modesty < 1.0:
             raise ValueError(f"modesty must be in [0, 1), not {self.modesty}")
-        if not 0.0 <= self.doubt < math.inf:
-            raise ValueError(f"doubt must be a finite number >= 0, not {self.doubt!r}")
         for name in ("sigma", "last_sigma"):
             if not 0.0 < getattr(self, name) <= 1.0:
                 raise ValueError(f"{name} must be in (0, 1], not {getattr(self, name)}")
@@ -185,14 +179,6 @@ def _judge(
     return [frozen_array(np.concatenate(of_theta)) for of_theta in zip(*pieces, strict=True)]
 
 
-class _Look(NamedTuple):
-    """A candidate and what it costs."""
-
-    loss: float
-    parts: Array  # (k,) of each intervention; their sum is the loss
-    theta: PlannerParams
-
-
 class _Fitting:
     """A fit in progress."""
 
@@ -203,48 +189,40 @@ class _Fitting:
         self.sample = Imitation(few, settings.planner)
         self._demonstrated = few.actions
         self._scale = len(steps) / len(few)
-        self._first = np.cumsum([0, *(len(indices) for _, indices in few.picks if indices)])[:-1]
-        self.best = self.judge(DEFAULT_THETA)
-        self.default_loss = self.best.loss
+        self.default_loss = self.loss(DEFAULT_THETA)
+        self.best = self.default_loss, DEFAULT_THETA
         self.seen = [self.best]  # everything that was looked at
         self.searches = 0
         self.evaluations = 0
         self.curve: list[tuple[int, int, float]] = []
 
-    def judge(self, theta: PlannerParams) -> _Look:
+    def loss(self, theta: PlannerParams) -> float:
         """Eq. 1's sum for one theta, scaled up to all steps when only a sample is looked at."""
-        weights = self.settings.lambda_v, self.settings.lambda_w
-        steps = (self.sample.actions(theta) - self._demonstrated) ** 2 @ np.array(weights) * self._scale
-        return _Look(float(steps.sum()), np.add.reduceat(steps, self._first), theta)
+        return _loss(self.sample.actions(theta), self._demonstrated, self.settings) * self._scale
 
     def chosen(self) -> PlannerParams:
-        """Of all that was seen and is as good as the best, the one nearest to the default in the unit cube."""
-        origin = self.settings.space.encode(DEFAULT_THETA)
-        near = [(self._away(look.theta, origin), look.loss, look.theta) for look in self.seen if self.as_good(look)]
-        return min(near, key=lambda n: n[:2])[2]
+        """Of all that was seen and is as good as the best, the one nearest to the default in the unit cube.
 
-    def as_good(self, look: _Look) -> bool:
-        """Whether it is as good as the best so far, which may have been lucky.
-
-        That is within a share of what the best gained, and of what it leaves unexplained, the hand's noise: where the
-        best explains everything, nothing is given up. Or it is worse by no more than the interventions disagree.
+        As good: within a share of what the best gained, and of what it leaves unexplained, the hand's noise. Where the
+        best explains everything, nothing is given up.
         """
-        best, settings = self.best, self.settings
-        given_up = settings.modesty * min(self.default_loss - best.loss, best.loss)
-        if (count := len(best.parts)) >= FEWEST:
-            spread = float(np.std(look.parts - best.parts, ddof=1))
-            given_up = max(given_up, settings.doubt * math.sqrt(count) * spread)
-        return look.loss <= best.loss + given_up
+        encode, allowed = self.settings.space.encode, self.allowed
+        origin = encode(DEFAULT_THETA)
+        near = [(float(np.linalg.norm(encode(theta) - origin)), loss, theta) for loss, theta in self.seen]
+        return min((n for n in near if n[1] <= allowed), key=lambda n: n[:2])[2]
 
-    def _away(self, theta: PlannerParams, origin: Array) -> float:
-        return float(np.linalg.norm(self.settings.space.encode(theta) - origin))
+    @property
+    def allowed(self) -> float:
+        """The largest loss that is as good as the best so far."""
+        best = self.best[0]
+        return best + self.settings.modesty * min(self.default_loss - best, best)
 
     def run(self) -> None:
         """All searches, and what lies between their outcome and the default."""
         rng = np.random.default_rng(self.settings.seed)
         for start in self.starts(rng):
             self._search(start, self.settings.sigma, rng)
-        self._search(self.settings.space.encode(self.best.theta), self.settings.last_sigma, rng)
+        self._search(self.settings.space.encode(self.best[1]), self.settings.last_sigma, rng)
         self._draw_nearer()
 
     def _draw_nearer(self) -> None:
@@ -258,7 +236,7 @@ class _Fitting:
                     nearer[k] = origin[k] + share * (point[k] - origin[k])
                     if self.evaluations >= self.settings.max_evaluations:
                         return
-                    if self.as_good(self._look(space.decode(nearer))):
+                    if self._look(space.decode(nearer)) <= self.allowed:
                         point = nearer
                         break
 
@@ -270,7 +248,7 @@ class _Fitting:
         left = max(0, settings.max_evaluations - self.evaluations)
         count = min(max(settings.scattered, settings.restarts), left // 2) if settings.restarts else 0
         points = rng.uniform(size=(count, len(middle)))
-        worth = [self._look(settings.space.decode(point)).loss for point in points]
+        worth = [self._look(settings.space.decode(point)) for point in points]
         chosen: list[Array] = []
         for point in points[np.argsort(worth, kind="stable")]:
             if all(np.linalg.norm(point - other) > STARTS_APART for other in chosen):
@@ -279,16 +257,16 @@ class _Fitting:
             if len(chosen) == settings.restarts:
                 return
 
-    def _look(self, theta: PlannerParams) -> _Look:
-        """A candidate, which is kept in mind."""
-        look = self.judge(theta)
-        self.seen.append(look)
+    def _look(self, theta: PlannerParams) -> float:
+        """The loss of a candidate, which is kept in mind."""
+        loss = self.loss(theta)
+        self.seen.append((loss, theta))
         self.evaluations += 1
-        if look.loss < self.best.loss:
-            self.best = look
+        if loss < self.best[0]:
+            self.best = loss, theta
         if self.progress is not None:
-            self.progress(self.evaluations, self.best.loss)
-        return look
+            self.progress(self.evaluations, self.best[0])
+        return loss
 
     def _search(self, start: Array, sigma: float, rng: np.random.Generator) -> None:
         """One CMA-ES search from a point (8,) of the unit cube, until it stops making progress."""
@@ -301,7 +279,7 @@ class _Fitting:
             points = strategy.ask()
             before, losses = best, []
             for theta in (settings.space.decode(np.asarray(p)) for p in points):
-                losses.append(self._look(theta).loss)
+                losses.append(self._look(theta))
                 if losses[-1] < best:
                     best = losses[-1]
                     self.curve.append((self.evaluations, number, best))
@@ -310,7 +288,7 @@ class _Fitting:
 
     def flatness(self, theta: PlannerParams) -> dict[str, tuple[float, float]]:
         """For each parameter the values round theta's that cost almost nothing while the other seven stay."""
-        settings, best = self.settings, self.judge(theta).loss
+        settings, best = self.settings, self.loss(theta)
         allowed = best + settings.flatness * max(best, self.default_loss - best)
         ranges = {}
         for name, low, high in zip(PARAMETER_NAMES, settings.space.lower, settings.space.upper, strict=True):
@@ -320,7 +298,7 @@ class _Fitting:
             for side in (values[values < here][::-1], values[values > here]):
                 end = here
                 for value in side.tolist():
-                    if self.judge(PlannerParams.from_mapping(theta.as_dict() | {name: value})).loss > allowed:
+                    if self.loss(PlannerParams.from_mapping(theta.as_dict() | {name: value})) > allowed:
                         break
                     end = value
                 ends.append(end)
