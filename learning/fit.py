@@ -55,7 +55,7 @@ class FitSettings:
     max_evaluations: int = 8000  # of the sum, by all searches together, whole generations (12 x 800)
     patience: int = 10  # a search ends after so many generations without progress (tolfun 1e-11)
     min_progress: float = 1e-3  # as a share of the default's loss; less in one generation is no progress
-    modesty: float = 0.02  # given up for being nearer to the default: a share of what was gained or of what is left (0)
+    modesty: float = 0.10  # given up for being nearer to the default: a share of what was gained or of what is left (0)
     seed: int = 0
     space: ParameterSpace = field(default_factory=ParameterSpace)
     planner: PlannerSettings = DEFAULT_SETTINGS
